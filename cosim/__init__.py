@@ -1,0 +1,1 @@
+"""Runs: cycles, results, test procedures, studies and the command line."""

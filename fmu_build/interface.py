@@ -1,0 +1,128 @@
+"""What an FMU is made from, and the list of variables that its C and its XML share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from halfshaft.library.errors import InputError
+
+Array: TypeAlias = npt.NDArray[np.float64]
+Version: TypeAlias = Literal[2, 3]
+
+#: An internal step is never shorter than this [s].
+SHORTEST_STEP = 1e-6
+#: States that the shell knows by name.
+SPEED, DISTANCE = "body.v", "body.distance"
+#: Parameter that the start speed of a cycle replaces.
+START_SPEED = "body.v_start"
+
+
+class Described(Protocol):
+    """Description of one element of a vector, as `halfshaft.models.assembly.Description`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def doc(self) -> str: ...
+    @property
+    def start(self) -> float: ...
+    @property
+    def lowest(self) -> float | None: ...
+    @property
+    def highest(self) -> float | None: ...
+    @property
+    def state(self) -> int | None: ...
+
+
+class Model(Protocol):
+    """Name and vectors of a step, as `halfshaft.models.assembly.Step`; requests are speed, grade, key, step length."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def title(self) -> str: ...
+    @property
+    def states(self) -> Sequence[Described]: ...
+    @property
+    def requests(self) -> Sequence[Described]: ...
+    @property
+    def parameters(self) -> Sequence[Described]: ...
+    @property
+    def outputs(self) -> Sequence[Described]: ...
+
+
+class CycleTable(NamedTuple):
+    """A cycle on the grid of internal steps: one element per step in each array."""
+
+    name: str
+    v_request: Array
+    grade: Array
+    key_on: Array
+    grade_distance: tuple[Array, Array] | None = None
+    v_start: float = 0.0
+
+
+class Variable(NamedTuple):
+    """A variable of an FMU; its value reference is its position in the list."""
+
+    name: str
+    unit: str
+    doc: str
+    causality: Literal["independent", "input", "parameter", "local", "output"]
+    start: float
+    lowest: float | None = None
+    highest: float | None = None
+    state: int | None = None
+
+
+def variables(model: Model, step_size: float, cycle: CycleTable | None) -> list[Variable]:
+    """Return all variables: time, requests, step size, parameters, outputs."""
+    speed, grade, key_on, _ = model.requests
+    requests = [(r, r.start) for r in (speed, grade, key_on)]
+    if cycle:
+        requests = [(speed, cycle.v_start), (grade, float(cycle.grade[0])), (key_on, float(cycle.key_on[0]))]
+    length = ("step_size", "s", "length of the internal steps")
+    return [
+        Variable("time", "s", "time", "independent", 0.0),
+        *(Variable(r.name, r.unit, r.doc, "output" if cycle else "input", start) for r, start in requests),
+        Variable(*length, "local", step_size) if cycle else Variable(*length, "parameter", step_size, SHORTEST_STEP),
+        *(
+            Variable(p.name, p.unit, p.doc, "parameter", cycle.v_start if cycle and p.name == START_SPEED else p.start, p.lowest, p.highest)
+            for p in model.parameters
+        ),
+        *(Variable(y.name, y.unit, y.doc, "output", 0.0, state=y.state) for y in model.outputs),
+    ]
+
+
+def check(model: Model, step_size: float, cycle: CycleTable | None) -> None:
+    """Refuse a cycle or a step size that no FMU can be made from.
+
+    Raises
+    ------
+    InputError
+        With everything that is wrong.
+
+    """
+    problems = [] if SHORTEST_STEP <= step_size < np.inf else [f"step_size = {step_size:g} s, must be at least {SHORTEST_STEP:g} s"]
+    if cycle:
+        rows = (cycle.v_request, cycle.grade, cycle.key_on)
+        if len({np.shape(row) for row in rows}) > 1 or np.ndim(cycle.v_request) != 1 or not len(cycle.v_request):
+            problems.append("v_request, grade and key_on must be rows of the same length, at least 1")
+        if not all(np.all(np.isfinite(row)) for row in (*rows, cycle.v_start, *(cycle.grade_distance or ()))):
+            problems.append("not all numbers of the cycle are finite")
+        if cycle.v_start and START_SPEED not in [p.name for p in model.parameters]:
+            problems.append(f"v_start = {cycle.v_start:g} m/s, but the model has no parameter {START_SPEED}")
+        if cycle.grade_distance:
+            distance, grade = cycle.grade_distance
+            if np.shape(distance) != np.shape(grade) or not len(distance) or np.any(np.diff(distance) <= 0):
+                problems.append("grade_distance needs rising distances and one grade for each")
+            if DISTANCE not in [x.name for x in model.states]:
+                problems.append(f"grade_distance is given, but the model has no state {DISTANCE}")
+    if problems:
+        raise InputError(f"FMU of {model.name}", problems)

@@ -1,0 +1,88 @@
+"""Accessories: a constant electric load on the bus, a constant mechanical load on the engine's shaft.
+
+Electric: ``P_in = P_out + P_on / eta``.  On the way back the accessories are served first, but only with what the bus
+and a braking motor offer together; an empty battery cannot feed them.
+
+Mechanical: ``tau_in = tau_out + tau + P / (eta omega)`` while the engine is on, at the engine's speed but never below
+its idling speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from halfshaft.library.component import Link, State, TwoSided, clip, where
+from halfshaft.library.parameters import Parameters, param
+from halfshaft.library.ports import Electric, Expr, Port, Shaft
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElectricAccessoriesParameters(Parameters):
+    """Electric load."""
+
+    P_on: float = param("W", "power of the accessories while the key is on", 0.0, ge=0)
+    eta: float = param("1", "efficiency of their supply", 1.0, gt=0, le=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MechanicalAccessoriesParameters(Parameters):
+    """Load on the engine's shaft."""
+
+    tau_on: float = param("N.m", "constant torque while the engine is on", 0.0, ge=0)
+    P_on: float = param("W", "constant power while the engine is on", 0.0, ge=0)
+    eta: float = param("1", "efficiency of the belt drive", 1.0, gt=0, le=1)
+
+
+@dataclass(frozen=True)
+class ElectricAccessories(TwoSided):
+    """Electric load between the motor and the bus."""
+
+    p: ElectricAccessoriesParameters
+    parameters = ElectricAccessoriesParameters
+    load = Port(Electric, "wheel")
+    supply = Port(Electric, "source")
+
+    def chain(self, key_on: Expr) -> tuple[Link, ...]:  # type: ignore[override]
+        """Return the load."""
+        P = where(key_on, self.p.P_on / self.p.eta, 0)
+
+        def back(asked: Electric, sent: Electric, offered: Electric) -> Electric:
+            return Electric(offered.P - clip(offered.P - ca.fmin(asked.P, 0), 0, P))
+
+        return (Link(lambda load: Electric(load.P + P), back),)
+
+
+@dataclass(frozen=True)
+class MechanicalAccessories(TwoSided):
+    """Load on the engine's shaft, between clutch (or generator) and engine."""
+
+    p: MechanicalAccessoriesParameters
+    parameters = MechanicalAccessoriesParameters
+    load = Port(Shaft, "wheel")
+    supply = Port(Shaft, "source")
+    states = (State("tau_accessory_before", "N.m", "torque of the accessories in the previous step", signal=True),)
+
+    def torque(self, omega: Expr, omega_idle: Expr, engine_on: Expr) -> Expr:
+        """Return the torque at the engine's shaft [N.m]."""
+        p = self.p
+        tau = p.tau_on + p.P_on / (p.eta * ca.fmax(ca.fmax(omega, omega_idle), 1e-3))
+        return where(ca.logic_and(engine_on, omega > 1e-9), tau, 0)
+
+    def chain(self, omega_engine: Expr, omega_idle: Expr, engine_on: Expr) -> tuple[Link, ...]:  # type: ignore[override]
+        """Return the load."""
+        tau = self.torque(omega_engine, omega_idle, engine_on)
+        return (
+            Link(
+                lambda load: load._replace(tau=load.tau + tau),
+                lambda asked, sent, offered: offered._replace(tau=offered.tau - tau),
+            ),
+        )
+
+    def found(self, way: Any) -> Mapping[str, Any]:
+        """Return the torque for the shift logic and the engine's free spinning."""
+        _, asked, sent = way[0]
+        return {"next_tau_accessory_before": sent.tau - asked.tau}

@@ -1,0 +1,190 @@
+"""Battery pack: open-circuit voltage behind a resistance, with a thermal node.
+
+For N modules in series::
+
+    U_oc = N u_oc(T, soc),   R = N r(T, soc) / capacity_scale                (1), r of discharging or charging by the sign of P
+    P    = U I = (U_oc - R I) I                                              (2), solved for I
+    d soc/dt = -I / Q discharging, -eta_c I / Q charging                     (3)
+    P_loss   = R I^2 + (1 - eta_c) U_oc |I| while charging                   (4)
+
+Limits: the voltage stays between U_min (no lower than half of U_oc, where the power is largest) and U_max; an empty
+pack gives nothing; a full one takes nothing.  Each module warms by its loss and is cooled by air::
+
+    m c_p dT/dt = P_loss / N - (T - T_ambient) / R_th                        (5)
+
+where R_th falls when the fan runs, above T_fan; the fan's air leaves warmer than it came, which adds
+``1 / (2 airflow c_air)`` to R_th.  All limits and tables take the state at the start of the step.  Left out: ageing,
+self-discharge, concentration (relaxation of voltage).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from halfshaft.library.component import Component, State, Variable, face, plant, where
+from halfshaft.library.motor import MotorParameters
+from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.ports import Electric, Expr, Port
+from halfshaft.library.tables import Axis, Table
+
+TEMPERATURE, CHARGE = Axis("T", "K"), Axis("soc", "1")
+
+#: A pack counts as full from here on.
+SOC_FULL = 0.999
+#: Specific heat of the cooling air [J/(kg.K)].
+C_AIR = 1009.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatteryParameters(Parameters):
+    """A pack of equal modules in series; tables are for one module."""
+
+    n_modules: float = param("1", "number of modules in series", gt=0)
+    u_oc: Table = table("V", "open-circuit voltage of a module", TEMPERATURE, CHARGE, clip=True, gt=0)
+    r_discharge: Table = table("ohm", "resistance of a module while discharging", TEMPERATURE, CHARGE, clip=True, gt=0)
+    r_charge: Table = table("ohm", "resistance of a module while charging", TEMPERATURE, CHARGE, clip=True, gt=0)
+    Q: Table = table("C", "capacity", TEMPERATURE, clip=True, gt=0)
+    eta_coulomb: Table = table("1", "share of a charging current that is stored", TEMPERATURE, clip=True, gt=0, le=1)
+    u_min: float = param("V", "lowest voltage of a module", ge=0)
+    u_max: float = param("V", "highest voltage of a module", gt=0)
+    capacity_scale: float = param("1", "factor on the capacity", 1.0, gt=0)
+    soc_start: float = param("1", "state of charge at the start", 0.7, ge=0, le=1)
+    T_start: float = param("K", "temperature at the start", 293.15, gt=0)
+    T_ambient: float = param("K", "temperature of the air", 293.15, gt=0)
+    T_fan: float = param("K", "temperature above which the fan runs", 308.15, gt=0)
+    mass: float = param("kg", "mass of a module", gt=0)
+    c_p: float = param("J/(kg.K)", "specific heat", gt=0)
+    R_th_fan: float = param("K/W", "thermal resistance of a module to the air with fan", gt=0)
+    R_th_still: float = param("K/W", "thermal resistance of a module to the air without fan", gt=0)
+    airflow: float = param("kg/s", "air flow of the fan at a module", gt=0)
+
+
+class Circuit(NamedTuple):
+    """Voltage source and resistance of the pack."""
+
+    U_oc: Expr
+    R: Expr
+
+    def current(self, P: Expr) -> Expr:
+        """Return the current that gives a terminal power, equation (2) [A]."""
+        return 2 * P / (self.U_oc + ca.sqrt(ca.fmax(self.U_oc**2 - 4 * self.R * P, 0)))
+
+
+class Limits(NamedTuple):
+    """What the pack can give and take."""
+
+    P_max: Expr
+    P_min: Expr
+    I_min: Expr
+
+
+@dataclass(frozen=True)
+class Battery(Component):
+    """Battery pack at the bus."""
+
+    p: BatteryParameters
+    parameters = BatteryParameters
+    dc = Port(Electric, "wheel")
+    states = (
+        State("soc", "1", "state of charge", signal=True, shown=True),
+        State("T", "K", "temperature of the modules", shown=True),
+        State("U_supply", "V", "voltage at the end of the previous step", signal=True),
+    )
+    variables = (
+        Variable("U", "V", "terminal voltage", signal=True),
+        Variable("I", "A", "current"),
+        Variable("P_stored", "W", "power drawn from the chemical store", "stored"),
+        Variable("P_loss", "W", "power lost", "loss"),
+        Variable("P_battery_max", "W", "largest discharging power", signal=True),
+        Variable("P_battery_min", "W", "largest charging power, negative", signal=True),
+        Variable("battery_limited", "1", "whether a limit of the battery acts", kind="flag"),
+    )
+
+    def start(self) -> Mapping[str, Any]:
+        """Return the start values."""
+        p = self.p
+        return {"soc": p.soc_start, "T": p.T_start, "U_supply": p.n_modules * p.u_oc(p.T_start, p.soc_start)}
+
+    def circuit(self, soc: Expr, T: Expr, P: Expr) -> Circuit:
+        """Return equation (1) for a power of this sign."""
+        p = self.p
+        r = where(P >= 0, p.r_discharge(T, soc), p.r_charge(T, soc))
+        return Circuit(p.n_modules * p.u_oc(T, soc), p.n_modules * r / p.capacity_scale)
+
+    def limits_at(self, soc: Expr, T: Expr, motor: MotorParameters) -> Limits:
+        """Return the limits of power and current."""
+        p = self.p
+        N, u_oc = p.n_modules, p.u_oc(T, soc)
+        U_oc, scale = N * u_oc, N / p.capacity_scale
+        U_min = ca.fmax(ca.fmax(0.5 * U_oc, motor.U_min), N * p.u_min)
+        P_max = ca.fmax(0, (U_oc - U_min) * U_min / (scale * p.r_discharge(T, soc)))
+        I_min = ca.fmin(0, (U_oc - N * p.u_max) / (scale * p.r_charge(T, soc)))
+        P_min = I_min * (U_oc - I_min * scale * p.r_charge(T, soc))
+        return Limits(where(soc > 1e-3, P_max, 0), where(soc < SOC_FULL, P_min, 0), I_min)
+
+    def rates(self, circuit: Circuit, current: Expr, T: Expr) -> dict[str, Expr]:
+        """Return the rates of the states and the powers, equations (3) to (5)."""
+        p = self.p
+        eta = where(current >= 0, 1, p.eta_coulomb(T))
+        stored = circuit.U_oc * eta * current
+        loss = stored - (circuit.U_oc - circuit.R * current) * current
+        R_th = where(p.T_fan < T, p.R_th_fan + 1 / (2 * p.airflow * C_AIR), p.R_th_still)
+        return {
+            "soc": -eta * current / (p.capacity_scale * p.Q(T)),
+            "T": (loss / p.n_modules - (T - p.T_ambient) / R_th) / (p.mass * p.c_p),
+            "P_stored": stored,
+            "P_loss": loss,
+        }
+
+    plant_states = ((states[0], "soc"), (states[1], "T"))
+    laws = ("P_room_out", "P_room_in")
+
+    @face("P_battery_max", "P_battery_min", "_limits")
+    def limits(self, soc: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
+        """Publish the limits, which the control of a series hybrid looks at."""
+        limits = self.limits_at(soc, T, motor)
+        return {"P_battery_max": limits.P_max, "P_battery_min": limits.P_min, "_limits": limits}
+
+    @face("dc", "U", "I", "P_stored", "P_loss", "battery_limited", "next_soc", "next_T", "next_U_supply")
+    def available(self, dc: Electric, _limits: Limits, soc: Expr, T: Expr, dt: Expr) -> Mapping[str, Any]:
+        """Return the power that the battery gives."""
+        P = ca.fmin(dc.P, ca.fmax(0, _limits.P_max))
+        P = where(ca.logic_and(soc >= SOC_FULL, dc.P < 0), 0, P)
+        circuit = self.circuit(soc, T, dc.P)
+        current = ca.fmax(circuit.current(P), _limits.I_min)
+        U = circuit.U_oc - circuit.R * current
+        rates = self.rates(circuit, current, T)
+        limited = ca.logic_or(P != dc.P, circuit.current(P) < _limits.I_min)
+        return {
+            # Inside the limits the power is what was asked for, not I U, so that nothing is lost to rounding.
+            "dc": Electric(where(limited, U * current, dc.P)),
+            "U": U,
+            "I": current,
+            "P_stored": rates["P_stored"],
+            "P_loss": rates["P_loss"],
+            "battery_limited": limited,
+            "next_soc": soc + dt * rates["soc"],
+            "next_T": T + dt * rates["T"],
+            "next_U_supply": U,
+        }
+
+    @plant("der_soc", "der_T", "U", "I", "P_stored", "P_loss", "P_room_out", "P_room_in")
+    def flow(self, dc: Electric, soc: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
+        """Return the rates in continuous time, and how far the power is from its limits."""
+        limits, circuit = self.limits_at(soc, T, motor), self.circuit(soc, T, dc.P)
+        current = circuit.current(dc.P)
+        rates = self.rates(circuit, current, T)
+        return {
+            "der_soc": rates["soc"],
+            "der_T": rates["T"],
+            "U": circuit.U_oc - circuit.R * current,
+            "I": current,
+            "P_stored": rates["P_stored"],
+            "P_loss": rates["P_loss"],
+            "P_room_out": limits.P_max - dc.P,
+            "P_room_in": dc.P - limits.P_min,
+        }

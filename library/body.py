@@ -1,0 +1,162 @@
+"""Vehicle body: mass, drag, climbing resistance, and the speed that follows.
+
+With the mean speed of the step ``v`` and the acceleration ``a``::
+
+    F = m a + F_res(v)                                                       (1), paper eq. 2 and 3
+    F_res(v) = m g (f_0 + f_1 v) cos(theta) + m g sin(theta) + 0.5 rho c_d A v^2      (2)
+    tan(theta) = grade
+
+*Required* takes ``a`` from the requested end speed.  *Available* solves (1) for the mean speed, a quadratic, in the
+form that survives zero drag; the end speed of the step is ``2 v - v_0``.  The body also says, once for all parts,
+whether the trace was missed in the previous step and by what ratio (paper eq. 10).
+
+Left out: rotating masses (each component has its own), cornering, wind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from halfshaft.library.component import Component, State, Turning, Variable, face, plant, where
+from halfshaft.library.parameters import Parameters, param
+from halfshaft.library.ports import Expr, Port, Tyre
+
+#: A body never brakes harder than this [m/s^2]; keeps the quadratic real.
+A_FLOOR = -70.0
+
+
+class Resistance(NamedTuple):
+    """Equation (2) as a polynomial in speed; rolling and climbing parts kept apart."""
+
+    roll_0: Expr
+    roll_1: Expr
+    climb: Expr
+    aero: Expr
+
+    def at(self, v: Expr, moving: Expr) -> Expr:
+        """Return the force at a speed [N]."""
+        return moving * (self.roll_0 + self.roll_1 * v) + self.climb + self.aero * v**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyParameters(Parameters):
+    """Mass, shape and geometry of the vehicle."""
+
+    m: float = param("kg", "test mass", gt=0)
+    c_d: float = param("1", "drag coefficient", ge=0)
+    A: float = param("m^2", "frontal area", ge=0)
+    rho: float = param("kg/m^3", "air density", 1.2, ge=0)
+    g: float = param("m/s^2", "gravity", 9.81, gt=0)
+    front_share: float = param("1", "share of the weight on the front axle at rest", 0.6, ge=0, le=1)
+    h: float = param("m", "height of the centre of gravity", 0.5, ge=0)
+    wheelbase: float = param("m", "wheelbase", 2.6, gt=0)
+    v_miss: float = param("m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, gt=0)
+    v_start: float = param("m/s", "speed at the start", 0.0, ge=0)
+
+
+@dataclass(frozen=True)
+class Body(Component):
+    """The vehicle as a mass on the road; speeds are never negative."""
+
+    p: BodyParameters
+    parameters = BodyParameters
+    tyre = Port(Tyre, "source")
+    states = (
+        State("v", "m/s", "speed of the vehicle", signal=True, shown=True),
+        State("distance", "m", "distance driven", shown=True),
+        State("elevation", "m", "height above the start", shown=True),
+        State("trace_missed", "1", "whether the previous step missed its request", signal=True),
+        State("speed_ratio", "1", "end speed over the mean speed that the driveline offered, previous step", signal=True),
+    )
+    variables = (
+        Variable("v_request", "m/s", "requested speed at the end of the step"),
+        Variable("F_required", "N", "force that the request needs, before any limit"),
+        Variable("v_mean", "m/s", "mean speed of the step"),
+        Variable("trace_miss", "m/s", "request less achieved speed"),
+        Variable("P_aero", "W", "power lost to air drag", "loss"),
+        Variable("P_roll", "W", "power lost to rolling resistance", "loss"),
+        Variable("P_climb", "W", "rate of change of potential energy", "potential"),
+        Variable("P_kinetic", "W", "rate of change of the body's kinetic energy", "kinetic"),
+        Variable("P_mismatch", "W", "power offered at the required speed less that at the achieved speed", "mismatch"),
+        Variable("P_limit", "W", "power not used because a speed limit or standstill acts", "limit"),
+        Variable("a_request", "m/s^2", "requested acceleration", signal=True),
+    )
+    plant_states = ((states[0], "v"), (states[1], "distance"), (states[2], "elevation"))
+    laws = ("body",)
+
+    def start(self) -> Mapping[str, Any]:
+        """Return the start values."""
+        return {"v": self.p.v_start, "distance": 0.0, "elevation": 0.0, "trace_missed": 0.0, "speed_ratio": 0.0}
+
+    @face("body")
+    def law(self) -> Mapping[str, Any]:
+        """Publish the parameters that the tyre's grip depends on."""
+        return {"body": self.p}
+
+    def resistance(self, grade: Expr, rolling: tuple[Expr, Expr]) -> Resistance:
+        """Return equation (2)."""
+        cos = 1 / ca.sqrt(1 + grade**2)
+        W, (f_0, f_1) = self.p.m * self.p.g, rolling
+        return Resistance(W * cos * f_0, W * cos * f_1, W * cos * grade, 0.5 * self.p.rho * self.p.c_d * self.p.A)
+
+    @face("tyre", "v_request", "a_request", "F_required", "_resistance")
+    def required(self, v_request: Expr, v: Expr, grade: Expr, dt: Expr, rolling: tuple[Expr, Expr], turning: Turning) -> Mapping[str, Any]:
+        """Return the force and mean speed that reach the requested end speed, equation (1)."""
+        v_mean, a = (v + v_request) / 2, (v_request - v) / dt
+        resistance = self.resistance(grade, rolling)
+        F = self.p.m * a + resistance.at(v_mean, turning(v_mean))
+        return {"tyre": Tyre(F, v_mean, a), "v_request": v_request, "a_request": a, "F_required": F, "_resistance": resistance}
+
+    @face(
+        "v_mean", "trace_miss", "next_v", "next_distance", "next_elevation", "next_trace_missed", "next_speed_ratio",
+        "P_aero", "P_roll", "P_climb", "P_kinetic", "P_mismatch", "P_limit",
+    )  # fmt: skip
+    def available(
+        self, tyre: Tyre, v_driveline: Expr, v: Expr, distance: Expr, elevation: Expr, v_request: Expr,
+        grade: Expr, dt: Expr, turning: Turning, _resistance: Resistance,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Solve equation (1) for the mean speed and publish what was achieved."""
+        m, drag = self.p.m, _resistance
+        moving = turning(tyre.v)
+        B = 2 * m / dt + drag.roll_1 * moving
+        C = -2 * m * v / dt - ca.fmax(tyre.F, A_FLOOR * m) + drag.roll_0 * moving + drag.climb
+        v_force = -2 * C / (B + ca.sqrt(B**2 - 4 * drag.aero * C))
+        v_mean = where(tyre.F >= -m, ca.fmin(v_force, tyre.v), ca.fmax(v_force, tyre.v))
+        v_end = 2 * v_mean - v
+        v_end = where(v_end >= 1e-9, v_end, 0)
+        v_mean = (v + v_end) / 2
+        F_used = m * (v_end - v) / dt + drag.at(v_mean, moving)
+        return {
+            "v_mean": v_mean,
+            "trace_miss": v_request - v_end,
+            "next_v": v_end,
+            "next_distance": distance + v_mean * dt,
+            "next_elevation": elevation + v_mean * dt * grade / ca.sqrt(1 + grade**2),
+            "next_trace_missed": v_request - v_end > self.p.v_miss,
+            "next_speed_ratio": where(v_driveline > 0, v_end / ca.fmax(v_driveline, 1e-12), 0),
+            "P_aero": drag.aero * v_mean**3,
+            "P_roll": moving * (drag.roll_0 + drag.roll_1 * v_mean) * v_mean,
+            "P_climb": drag.climb * v_mean,
+            "P_kinetic": m * (v_end - v) / dt * v_mean,
+            "P_mismatch": tyre.F * (tyre.v - v_mean),
+            "P_limit": (tyre.F - F_used) * v_mean,
+        }
+
+    @plant("tyre", "der_v", "der_distance", "der_elevation", "P_aero", "P_roll", "P_climb", "P_kinetic")
+    def motion(self, v: Expr, a: Expr, grade: Expr, rolling: tuple[Expr, Expr], turning: Turning) -> Mapping[str, Any]:
+        """Return what the tyres must carry at a speed and an acceleration, equation (1)."""
+        drag, moving = self.resistance(grade, rolling), turning(v)
+        return {
+            "tyre": Tyre(self.p.m * a + drag.at(v, moving), v, a),
+            "der_v": a,
+            "der_distance": v,
+            "der_elevation": v * grade / ca.sqrt(1 + grade**2),
+            "P_aero": drag.aero * v**3,
+            "P_roll": moving * (drag.roll_0 + drag.roll_1 * v) * v,
+            "P_climb": drag.climb * v,
+            "P_kinetic": self.p.m * a * v,
+        }

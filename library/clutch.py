@@ -1,0 +1,82 @@
+"""Friction clutch between gearbox and engine: open, slipping or engaged.
+
+Torque passes unchanged, up to the engine's largest; open, none passes.  While slipping, the engine is asked for the
+launch speed and the power ``tau (omega_in - omega_out)`` is lost.  The control says which state holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from halfshaft.library.component import Link, TwoSided, Variable, clip, face, plant, where
+from halfshaft.library.engine import Engine
+from halfshaft.library.parameters import Parameters
+from halfshaft.library.ports import Expr, Port, Shaft
+
+#: Capacity of the engaged clutch over the engine's largest torque, and slip speed of the smooth friction law [rad/s].
+CAPACITY, OMEGA_SLIP = 2.0, 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClutchParameters(Parameters):
+    """A clutch has no parameters: it carries what the engine can give."""
+
+
+@dataclass(frozen=True)
+class Clutch(TwoSided):
+    """Clutch between gearbox and engine."""
+
+    p: ClutchParameters
+    parameters = ClutchParameters
+    output = Port(Shaft, "wheel")
+    input = Port(Shaft, "source")
+    variables = (
+        Variable("tau_clutch", "N.m", "required output torque", signal=True),
+        Variable("omega_clutch", "rad/s", "required output speed", signal=True),
+    )
+    laws = ("geared",)
+
+    @face("geared")
+    def law(self) -> Mapping[str, Any]:
+        """Say that the engine turns with the wheels."""
+        return {"geared": 1.0}
+
+    @face("tau_clutch", "omega_clutch")
+    def request(self, output: Shaft) -> Mapping[str, Any]:
+        """Publish the required output point, which the control looks at."""
+        return {"tau_clutch": output.tau, "omega_clutch": output.omega}
+
+    def chain(self, clutch_open: Expr, clutch_slipping: Expr, omega_launch: Expr, engine: Engine) -> tuple[Link, ...]:  # type: ignore[override]
+        """Return the torque that passes and the speed behind the clutch."""
+
+        def passed(tau: Expr) -> Expr:
+            return where(clutch_open, 0, clip(tau, -engine.tau_largest, engine.tau_largest))
+
+        def law(load: Shaft) -> Shaft:
+            return Shaft(passed(load.tau), where(clutch_slipping, omega_launch, load.omega), load.alpha)
+
+        def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
+            parted = ca.logic_or(clutch_open, clutch_slipping)
+            return Shaft(passed(offered.tau), where(parted, asked.omega, offered.omega), asked.alpha)
+
+        return (Link(law, back),)
+
+    @plant("input", "P_loss", "balance")
+    def flow(
+        self, output: Shaft, tau_clutch: Expr, clutch_open: Expr, clutch_slipping: Expr, omega_engine: Expr, engine: Engine
+    ) -> Mapping[str, Any]:
+        """Return the torque of the friction pair in continuous time: its capacity times a smooth function of the slip speed.
+
+        Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for.
+        """
+        capacity = where(clutch_slipping, clip(tau_clutch, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
+        tau = where(clutch_open, 0, capacity) * ca.tanh((omega_engine - output.omega) / OMEGA_SLIP)
+        return {
+            "input": Shaft(tau, omega_engine, 0.0),
+            "P_loss": tau * (omega_engine - output.omega),
+            "balance": tau - output.tau,
+        }

@@ -1,0 +1,93 @@
+"""Control of clutch and engine in a conventional car: sampled laws.
+
+::
+
+    open     while shifting, or no torque is asked for below idling speed (or at any speed, if so set)
+    slipping while torque is asked for below the launch speed and the clutch was not engaged before
+    engaged  else
+
+The engine idles at stops unless told not to; the commanded speed is that of the clutch, never below idling.  The
+original raises the engine to launch speed one sample before the trace starts to move; a control that cannot see the
+next sample does not, and neither does this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from halfshaft.library.component import Component, State, Variable, clip, face, where
+from halfshaft.library.engine import Engine
+from halfshaft.library.parameters import Parameters, param
+from halfshaft.library.ports import Expr
+
+OPEN, SLIPPING, ENGAGED = 1, 2, 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConventionalControlParameters(Parameters):
+    """Speeds and switches of the control."""
+
+    omega_idle: float = param("rad/s", "idling speed", gt=0)
+    launch_share: float = param("1", "launch speed over the engine's highest; at least 1.5 times idling speed", 0.2, gt=0, lt=1)
+    idle_at_stop: float = param("1", "1 if the engine idles at stops, 0 if it is switched off", 1.0, ge=0, le=1)
+    open_when_braking: float = param("1", "1 if the clutch opens whenever no torque is asked for", 0.0, ge=0, le=1)
+
+
+@dataclass(frozen=True)
+class ConventionalControl(Component):
+    """Clutch logic, engine on and off, and the engine's speed command."""
+
+    p: ConventionalControlParameters
+    parameters = ConventionalControlParameters
+    states = (
+        State("clutch_before", "1", "state of the clutch in the previous step"),
+        State("on_before", "1", "whether the engine was on in the previous step"),
+    )
+    variables = (
+        Variable("clutch_state", "1", "1 open, 2 slipping, 3 engaged", kind="count"),
+        Variable("clutch_open", "1", "whether the clutch is open", signal=True, kind="flag"),
+        Variable("clutch_slipping", "1", "whether the clutch slips", signal=True, kind="flag"),
+        Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
+        Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
+        Variable("omega_launch", "rad/s", "engine speed while the clutch slips", signal=True),
+    )
+    laws = ("omega_idle",)
+
+    def start(self, v: Expr) -> Mapping[str, Any]:  # type: ignore[override]
+        """Return the start values: engaged if the vehicle moves."""
+        return {"clutch_before": where(v > 0, ENGAGED, OPEN), "on_before": 1.0}
+
+    @face("omega_idle", "omega_launch")
+    def law(self, engine: Engine) -> Mapping[str, Any]:
+        """Publish idling and launch speed."""
+        p = self.p
+        return {"omega_idle": p.omega_idle * p.idle_at_stop, "omega_launch": ca.fmax(p.launch_share * engine.omega_max, 1.5 * p.omega_idle)}
+
+    @face("clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before")
+    def control(
+        self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, key_on: Expr, omega_launch: Expr,
+        engine: Engine, clutch_before: Expr, on_before: Expr,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Decide on clutch and engine for this step."""
+        p, asked = self.p, tau_clutch > 1e-3
+        idle_open = ca.logic_and(ca.logic_not(asked), ca.logic_or(p.open_when_braking, omega_input_estimate < p.omega_idle))
+        is_open = ca.logic_or(shifting, idle_open)
+        slipping = ca.logic_and(ca.logic_and(asked, omega_input_estimate < omega_launch), clutch_before < 2.5)
+        slipping = ca.logic_and(slipping, ca.logic_not(is_open))
+        state = where(is_open, OPEN, where(slipping, SLIPPING, ENGAGED))
+        on = ca.logic_and(key_on, ca.logic_or(p.idle_at_stop, ca.logic_not(is_open)))
+        on = ca.logic_or(on, ca.logic_and(shifting, on_before))
+        omega = clip(where(slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
+        return {
+            "clutch_state": state,
+            "clutch_open": is_open,
+            "clutch_slipping": slipping,
+            "engine_on": on,
+            "omega_command": where(on, omega, 0),
+            "next_clutch_before": state,
+            "next_on_before": on,
+        }

@@ -1,0 +1,40 @@
+"""Final drive: a fixed ratio with a constant drag torque and an inertia, both at its input.
+
+::
+
+    omega_in = i omega_out
+    tau_in   = tau_out / i + tau_loss + J alpha_in                           (1)
+
+The same loss torque and the required inertia torque act on the way back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from halfshaft.library.component import Link, Turning, TwoSided, drag, inertia, ratio
+from halfshaft.library.parameters import Parameters, param
+from halfshaft.library.ports import Port, Shaft
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinalDriveParameters(Parameters):
+    """Ratio and losses of a final drive."""
+
+    i: float = param("1", "ratio of input speed to output speed", gt=0)
+    tau_loss: float = param("N.m", "drag torque at the input", 0.0, ge=0)
+    J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0)
+
+
+@dataclass(frozen=True)
+class FinalDrive(TwoSided):
+    """Fixed gear between axle and gearbox."""
+
+    p: FinalDriveParameters
+    parameters = FinalDriveParameters
+    output = Port(Shaft, "wheel")
+    input = Port(Shaft, "source")
+
+    def chain(self, turning: Turning) -> tuple[Link, ...]:  # type: ignore[override]
+        """Return equation (1)."""
+        return (ratio(self.p.i), drag(lambda shaft: self.p.tau_loss * turning(shaft.omega)), inertia(self.p.J))

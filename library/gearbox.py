@@ -1,0 +1,162 @@
+"""Gearbox of one or several ratios; its loss by a polynomial or by an efficiency map.
+
+With the ratio ``G`` of the gear::
+
+    omega_in = G omega_out
+    tau_in   = tau_out / G + tau_loss(tau_out, omega_out, G) + J alpha_in    (1)
+
+On the way back the ratio of output to input torque without inertia is that of *required* (the paper's second
+assumption); where it is zero or negative, which a small negative output torque gives, the same loss is taken instead.
+
+Two losses::
+
+    P_loss = (c1 G + c2) omega + (c3 / G + c4) |tau| + c5 |tau| omega + c6   (2)
+    tau_loss = max(0, P_loss / (omega G))
+
+is the regression that NREL used until 2001, after measurements of a Volkswagen gearbox by van Dongen (SAE 820741);
+the other looks up the efficiency ``e(omega, tau, gear)`` of the output point::
+
+    tau_loss = (1 - e) |tau| / (G e)  driving,   (1 - e) |tau| / G  braking  (3)
+
+While shifting, the gearbox asks for no torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from halfshaft.library.component import Link, State, Turning, TwoSided, Variable, clip, face, inertia, limit, where
+from halfshaft.library.parameters import Parameters, param, params, table
+from halfshaft.library.ports import Expr, Port, Shaft
+from halfshaft.library.tables import Axis, Table
+
+#: Output speed [rad/s] below which the power of equation (2) fades to nothing, so that the torque stays finite.
+OMEGA_FLOOR = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearboxParameters(Parameters):
+    """Ratios and inertia, common to all gearboxes."""
+
+    ratios: tuple[float, ...] = params("1", "ratio of input speed to output speed, gear by gear", gt=0)
+    J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0)
+    speed_scale: float = param("1", "factor on the speeds of the loss", 1.0, gt=0)
+    torque_scale: float = param("1", "factor on the torques of the loss", 1.0, gt=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolynomialGearboxParameters(GearboxParameters):
+    """Coefficients of equation (2)."""
+
+    c1: float = param("N.m", "loss that grows with ratio and speed", 0.614307976)
+    c2: float = param("N.m", "loss that grows with speed", 5.530953616)
+    c3: float = param("rad/s", "loss that grows with torque over ratio", -0.861652506)
+    c4: float = param("rad/s", "loss that grows with torque", 0.229546756)
+    c5: float = param("1", "loss that grows with power", 0.023981187)
+    c6: float = param("W", "constant loss", -92.07523029)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapGearboxParameters(GearboxParameters):
+    """Efficiency of the output point."""
+
+    efficiency: Table = table(
+        "1", "efficiency", Axis("omega", "rad/s"), Axis("tau", "N.m"), Axis("gear", "1"), clip=True, ge=0, le=1
+    )
+    efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
+
+
+def same_efficiency(asked: Shaft, sent: Shaft, offered: Shaft, G: Expr) -> Shaft:
+    """Return what is delivered at the ratio of torques that *required* found; else at the same loss."""
+    useful = asked.tau * sent.tau > 0
+    by_ratio = asked.tau * (offered.tau / where(useful, sent.tau, 1))
+    same_loss = asked.tau + G * (offered.tau - sent.tau)
+    return Shaft(where(useful, by_ratio, same_loss), offered.omega / G, offered.alpha / G)
+
+
+@dataclass(frozen=True)
+class _Gearbox(TwoSided):
+    """What both gearboxes share; the law of the loss is theirs."""
+
+    output = Port(Shaft, "wheel")
+    input = Port(Shaft, "source")
+    states = (State("torque_ratio", "1", "output over input torque of the previous step, both at the input's speed", signal=True),)
+    variables = (
+        Variable("tau_gearbox", "N.m", "required output torque", signal=True),
+        Variable("omega_gearbox", "rad/s", "required output speed", signal=True),
+        Variable("omega_gearbox_input", "rad/s", "offered input speed", signal=True),
+    )
+    laws = ("ratios",)
+
+    @face("ratios")
+    def law(self) -> Mapping[str, Any]:
+        """Publish the ratios, which the shift logic chooses from."""
+        return {"ratios": self.p.ratios}
+
+    @face("tau_gearbox", "omega_gearbox")
+    def request(self, output: Shaft) -> Mapping[str, Any]:
+        """Publish the required output point, which the shift logic looks at."""
+        return {"tau_gearbox": output.tau, "omega_gearbox": output.omega}
+
+    @face("omega_gearbox_input")
+    def offer(self, input: Shaft) -> Mapping[str, Any]:
+        """Publish the offered input speed, from which the shift logic estimates the next one."""
+        return {"omega_gearbox_input": input.omega}
+
+    def tau_loss(self, output: Shaft, G: Expr, gear: Expr) -> Expr:
+        """Return the loss torque at the input [N.m], not yet cut at standstill."""
+        raise NotImplementedError
+
+    def chain(self, ratio: Expr, gear: Expr, turning: Turning, shifting: Expr = 0.0) -> tuple[Link, ...]:  # type: ignore[override]
+        """Return equation (1)."""
+
+        def law(load: Shaft) -> Shaft:
+            tau = load.tau / ratio + turning(load.omega) * self.tau_loss(load, ratio, gear)
+            return Shaft(tau, load.omega * ratio, load.alpha * ratio)
+
+        return (
+            Link(law, lambda asked, sent, offered: same_efficiency(asked, sent, offered, ratio)),
+            inertia(self.p.J),
+            limit(lambda shaft: shaft._replace(tau=where(shifting, 0, shaft.tau))),
+        )
+
+    def found(self, way: Any) -> Mapping[str, Any]:
+        """Return the ratio of torques for the shift logic's estimate."""
+        _, asked, sent = way[0]
+        tau = asked.tau * asked.omega / where(sent.omega > 0, sent.omega, 1)
+        return {"next_torque_ratio": where(tau * sent.tau > 0, tau / where(tau * sent.tau > 0, sent.tau, 1), 0)}
+
+
+@dataclass(frozen=True)
+class PolynomialGearbox(_Gearbox):
+    """Gearbox with the loss of equation (2)."""
+
+    p: PolynomialGearboxParameters
+    parameters = PolynomialGearboxParameters
+
+    def tau_loss(self, output: Shaft, G: Expr, gear: Expr) -> Expr:
+        """Return equation (2) as a torque at the input [N.m]."""
+        p = self.p
+        omega, tau = output.omega / p.speed_scale, ca.fabs(output.tau) / p.torque_scale
+        P = (p.c1 * G + p.c2) * omega + (p.c3 / G + p.c4) * tau + p.c5 * tau * omega + p.c6
+        return ca.fmax(0, P / (ca.fmax(omega, OMEGA_FLOOR) * G)) * p.torque_scale
+
+
+@dataclass(frozen=True)
+class MapGearbox(_Gearbox):
+    """Gearbox with the loss of equation (3)."""
+
+    p: MapGearboxParameters
+    parameters = MapGearboxParameters
+
+    def tau_loss(self, output: Shaft, G: Expr, gear: Expr) -> Expr:
+        """Return equation (3) [N.m]; where the map says zero, the whole output torque is lost once more."""
+        p = self.p
+        e = p.efficiency_scale * p.efficiency(output.omega / p.speed_scale, output.tau / p.torque_scale, gear)
+        e = clip(e, 0, 1)
+        driving = where(e > 2.22e-16, (1 - e) / where(e > 2.22e-16, e, 1), 1)
+        return ca.fabs(output.tau) / G * where(output.tau >= 0, driving, 1 - e)

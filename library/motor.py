@@ -1,0 +1,156 @@
+"""Motor with its controller, as a map of electric input power.
+
+Numbers as in the paper::
+
+    P_map   = f(tau, omega)                                                  (7)
+    omega   = min(omega_asked, omega_max)                                    (8)
+    tau     = min(tau_asked + J alpha, tau_max(omega))                       (9)
+    omega_a = omega_before v_end / v_driveline, all of the previous step     (10)
+    P       = min(P_map, I_max U_before)                                     (6)
+    tau_out = tau P_available / P_map - J alpha                              (11)
+
+``omega_a``, the speed actually reached, replaces ``omega`` in (7) and in the envelope of (9) after a missed trace.
+Braking torques are cut to the generating envelope, with the same overtorque factor.  Two departures from the
+original: no cap on ``J alpha``, and the ratio of (11) is kept between 0 and 1, which it leaves only where nearly no
+power was asked for.  The controller is off at standstill, a deliberate switch.  Left out: the winding's temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from halfshaft.library.component import Link, State, Turning, TwoSided, Variable, clip, face, inertia, limit, plant, where
+from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.ports import Electric, Expr, Port, Shaft
+from halfshaft.library.tables import Axis, Table
+
+SPEED, TORQUE = Axis("omega", "rad/s"), Axis("tau", "N.m")
+
+#: Below this speed [rad/s] the controller is off.
+OMEGA_OFF = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorParameters(Parameters):
+    """Maps, limits and scales of a motor with its controller."""
+
+    P_electric: Table = table("W", "electric input power", SPEED, TORQUE, clip=False)
+    tau_max: Table = table("N.m", "continuous driving torque", SPEED, clip=False)
+    tau_min: Table = table("N.m", "continuous braking torque, negative", SPEED, clip=False)
+    omega_max: float = param("rad/s", "highest speed", gt=0)
+    J: float = param("kg.m^2", "rotor inertia", ge=0)
+    overtorque: float = param("1", "short-time torque over continuous torque", 1.0, gt=0)
+    I_max: float = param("A", "current limit of the controller", gt=0)
+    U_min: float = param("V", "lowest supply voltage", 0.0, ge=0)
+    speed_scale: float = param("1", "factor on all speeds", 1.0, gt=0)
+    torque_scale: float = param("1", "factor on all torques", 1.0, gt=0)
+    efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
+    mass: float = param("kg", "mass", 0.0, ge=0)
+
+
+@dataclass(frozen=True)
+class Motor(TwoSided):
+    """Motor and controller between the gearbox's shaft and the supply."""
+
+    p: MotorParameters
+    parameters = MotorParameters
+    shaft = Port(Shaft, "wheel")
+    dc = Port(Electric, "source")
+    states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed"),)
+    variables = (
+        Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
+        Variable("throttle", "1", "that torque over the envelope, negative while braking", signal=True),
+        Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
+    )
+    laws = ("tau_envelope", "motor")
+
+    @face("tau_envelope", "motor")
+    def law(self) -> Mapping[str, Any]:
+        """Publish the continuous envelope for the shift logic, and the supply's needs for the battery."""
+        return {"tau_envelope": lambda omega: self.envelope(omega, self.p.tau_max), "motor": self.p}
+
+    def envelope(self, omega: Expr, tau: Callable[[Expr], Expr]) -> Expr:
+        """Return a scaled envelope at a speed, without overtorque [N.m]."""
+        return self.p.torque_scale * tau(omega / self.p.speed_scale)
+
+    def power(self, tau: Expr, omega: Expr) -> Expr:
+        """Return the electric input power, equation (7) [W]."""
+        p = self.p
+        P = p.speed_scale * p.torque_scale * p.P_electric(omega / p.speed_scale, tau / p.torque_scale)
+        return where(P >= 0, P / p.efficiency_scale, P * p.efficiency_scale)
+
+    def limits(self, omega: Expr) -> tuple[Expr, Expr]:
+        """Return the lowest and the highest torque at a speed, overtorque included [N.m]."""
+        p = self.p
+        return p.overtorque * self.envelope(omega, p.tau_min), p.overtorque * self.envelope(omega, p.tau_max)
+
+    def chain(  # type: ignore[override]
+        self, trace_missed: Expr, speed_ratio: Expr, omega_before: Expr, U_supply: Expr, turning: Turning, shifting: Expr = 0.0
+    ) -> tuple[Link, ...]:
+        """Return equations (8), (9), (7) and (6) in this order."""
+        omega_top = self.p.omega_max * self.p.speed_scale
+
+        def speed(asked: Shaft) -> Shaft:
+            return asked._replace(omega=clip(asked.omega, 0, omega_top))
+
+        def omega_map(s: Shaft) -> Expr:
+            return where(trace_missed, ca.fmin(omega_before * speed_ratio, omega_top), s.omega)
+
+        def torque(s: Shaft) -> Shaft:
+            lowest, highest = self.limits(omega_map(s))
+            return s._replace(tau=where(s.tau >= 0, ca.fmin(s.tau, highest), ca.fmax(s.tau, lowest)))
+
+        def power(s: Shaft) -> Electric:
+            on = turning(s.omega - OMEGA_OFF) ** 2 * (1 - shifting)
+            return Electric(on * self.power(s.tau, omega_map(s)))
+
+        def same_efficiency(asked: Shaft, sent: Electric, offered: Electric) -> Shaft:
+            ratio = where(sent.P != 0, offered.P / where(sent.P != 0, sent.P, 1), 0)
+            return asked._replace(tau=asked.tau * clip(ratio, 0, 1))
+
+        def current(s: Electric) -> Electric:
+            P_max = self.p.I_max * U_supply
+            return Electric(clip(s.P, -P_max, P_max))
+
+        return (
+            limit(speed),
+            inertia(self.p.J),
+            limit(torque, "limited"),
+            Link(power, same_efficiency, "loss", False, "map"),
+            limit(current),
+        )
+
+    def found(self, way: Any) -> Mapping[str, Any]:
+        """Return the speed for equation (10), and the throttle."""
+        _, asked, sent = way[2]
+        lowest, highest = self.limits(sent.omega)
+        limit = where(sent.tau >= 0, ca.fmax(highest, 1e-9), ca.fmax(-lowest, 1e-9))
+        return {"next_omega_before": asked.omega, "throttle": clip(sent.tau / limit, -1, 1)}
+
+    @plant("dc", "P_loss", "P_kinetic", "_tau", "_omega", "_P")
+    def flow(self, shaft: Shaft, turning: Turning) -> Mapping[str, Any]:
+        """Return the electric power that the motion needs, in continuous time."""
+        links = self.chain(0, 0, 0, 0, turning)
+        power, booked = self.continuous(shaft, links)
+        tau = shaft.tau + self.p.J * shaft.alpha
+        return {"dc": power, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"], "_tau": tau, "_omega": shaft.omega, "_P": power.P}
+
+    @plant("balance")
+    def drive(self, _tau: Expr, _omega: Expr, _P: Expr, throttle: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr) -> Mapping[str, Any]:
+        """Say when the motor gives what the motion needs: the throttle's torque, or less where power or current end.
+
+        The torque fades over the last half per cent below the top speed.
+        """
+        lowest, highest = self.limits(_omega)
+        top = self.p.omega_max * self.p.speed_scale
+        fade = clip((top - _omega) / (0.005 * top), 0, 1)
+        tau = where(throttle >= 0, throttle * highest * fade, -throttle * lowest)
+        scale = ca.fmax(ca.fabs(_omega), 10)
+        P_max = self.p.I_max * U
+        more = ca.fmin(P_room_out, P_max - _P) / scale
+        less = -ca.fmin(P_room_in, P_max + _P) / scale
+        return {"balance": ca.fmax(ca.fmin(tau - _tau, more), less)}

@@ -1,0 +1,135 @@
+"""Parameters of components: value, unit, meaning and bound in one declaration.
+
+A parameter set is a frozen dataclass whose fields are made by `param` (a number), `params` (a row of numbers, one
+per gear for instance) and `table` (a map).  Numbers are SI.  The same class serves a component with numbers, and the
+symbolic component from which the step is made: the assembler replaces each number by a symbol (`replace`), and bounds
+are checked for numbers only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import MISSING, Field, dataclass, field, fields
+from typing import Any, NamedTuple
+
+from halfshaft.library.errors import InputError
+from halfshaft.library.tables import Axis, Table
+
+
+class Spec(NamedTuple):
+    """What is known of a parameter besides its value."""
+
+    unit: str
+    doc: str
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+    axes: tuple[Axis, ...] = ()
+    clip: bool = True
+    row: bool = False
+
+    def allowed(self) -> str:
+        """Return the bounds in words, such as ``> 0 kg``; empty without bounds."""
+        pairs = ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
+        return " and ".join(f"{sign} {bound:g} {self.unit}" for sign, bound in pairs if bound is not None)
+
+    def holds(self, value: float) -> bool:
+        """Return whether a number lies inside the bounds; NaN and infinity never do."""
+        return (
+            math.isfinite(value)
+            and (self.gt is None or value > self.gt)
+            and (self.ge is None or value >= self.ge)
+            and (self.lt is None or value < self.lt)
+            and (self.le is None or value <= self.le)
+        )
+
+
+def param(unit: str, doc: str, default: Any = MISSING, **bounds: float) -> Any:
+    """Declare a number in SI unit `unit` with its meaning and bounds (``gt``, ``ge``, ``lt``, ``le``)."""
+    return field(default=default, metadata={"spec": Spec(unit, doc, **bounds)})
+
+
+def params(unit: str, doc: str, default: Any = MISSING, **bounds: float) -> Any:
+    """Declare a row of numbers."""
+    return field(default=default, metadata={"spec": Spec(unit, doc, row=True, **bounds)})
+
+
+def table(unit: str, doc: str, *axes: Axis, clip: bool, default: Any = MISSING, **bounds: float) -> Any:
+    """Declare a map over `axes`; outside of them it is clipped to the edge or extrapolated linearly."""
+    return field(default=default, metadata={"spec": Spec(unit, doc, axes=axes, clip=clip, **bounds)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    """Base of all parameter sets.
+
+    Raises
+    ------
+    InputError
+        If numbers lie outside their bounds; all of them are named at once.
+
+    """
+
+    def __post_init__(self) -> None:
+        """Check the bounds of all numbers."""
+        problems = []
+        for f in fields(self):
+            spec, value = spec_of(f), getattr(self, f.name)
+            if isinstance(value, Table):
+                numbers: list[Any] = list(value.values.flat)
+            else:
+                numbers = list(value) if spec.row else [value]
+            bad = [x for x in numbers if isinstance(x, int | float) and not spec.holds(x)]
+            if bad:
+                problems.append(f"{f.name} = {bad[0]:g} {spec.unit}, must be {spec.allowed() or 'a finite number'}")
+        problems.extend(self.check())
+        if problems:
+            raise InputError(type(self).__name__, problems)
+
+    def check(self) -> list[str]:
+        """Return what is wrong between several parameters; for subclasses."""
+        return []
+
+
+def spec_of(f: Field[Any]) -> Spec:
+    """Return the declaration of a field."""
+    spec = f.metadata["spec"]
+    assert isinstance(spec, Spec)
+    return spec
+
+
+def numbers(p: Parameters) -> Iterator[tuple[str, Spec, float]]:
+    """Yield name, declaration and value of every number; rows give ``name_1``, ``name_2`` and so on."""
+    for f in fields(p):
+        spec, value = spec_of(f), getattr(p, f.name)
+        if spec.row:
+            for i, x in enumerate(value, 1):
+                yield f"{f.name}_{i}", spec, float(x)
+        elif not spec.axes:
+            yield f.name, spec, float(value)
+
+
+def tables(p: Parameters) -> Iterator[tuple[str, Table]]:
+    """Yield name and value of every table."""
+    for f in fields(p):
+        if spec_of(f).axes:
+            yield f.name, getattr(p, f.name)
+
+
+def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> Parameters:
+    """Return the same parameter set with its numbers replaced by symbols and its tables by functions."""
+    values: dict[str, Any] = {}
+    for f in fields(p):
+        spec = spec_of(f)
+        if spec.axes:
+            values[f.name] = functions[f.name]
+        elif spec.row:
+            values[f.name] = tuple(symbols[f"{f.name}_{i}"] for i in range(1, len(getattr(p, f.name)) + 1))
+        else:
+            values[f.name] = symbols[f.name]
+    bound = object.__new__(type(p))
+    for name, value in values.items():
+        object.__setattr__(bound, name, value)
+    return bound

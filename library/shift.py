@@ -1,0 +1,123 @@
+"""Shift logic: which gear, and whether a shift is under way.
+
+A sampled law: the step and the forward-facing model run the same one.  The load is the estimated input torque over the
+torque that the machine can give at the estimated input speed::
+
+    tau_e = tau_out / (clip(eta, 0.2, 1) G)                                  (1)
+    load  = clip(tau_e / tau_max(omega_e), 0, 1), 1 while the grip limit acts
+
+Shift up where the load is below the up line of the present gear, down where it is above the down line, one gear a
+step, never down in the two steps after a gear was raised.  After a change the gearbox is open for the shift delay.
+A gearbox with one ratio uses `FixedGear`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from halfshaft.library.component import Component, State, Variable, clip, face, where
+from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.ports import Expr
+from halfshaft.library.tables import Axis, Table
+
+SPEED, GEAR = Axis("omega", "rad/s"), Axis("gear", "1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShiftParameters(Parameters):
+    """Shift lines over input speed, gear by gear."""
+
+    up: Table = table("1", "load below which to shift up", SPEED, GEAR, clip=False)
+    down: Table = table("1", "load above which to shift down", SPEED, GEAR, clip=False)
+    t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedGearParameters(Parameters):
+    """A fixed gear has no parameters."""
+
+
+@dataclass(frozen=True)
+class FixedGear(Component):
+    """Always the first gear."""
+
+    p: FixedGearParameters
+    parameters = FixedGearParameters
+    laws = ("ratio", "gear")
+
+    @face("ratio", "gear")
+    def law(self, ratios: tuple[Expr, ...]) -> Mapping[str, Any]:
+        """Return the only ratio."""
+        return {"ratio": ratios[0], "gear": 1.0}
+
+
+@dataclass(frozen=True)
+class Shift(Component):
+    """Chooses a gear by load and speed."""
+
+    p: ShiftParameters
+    parameters = ShiftParameters
+    states = (
+        State("gear_before", "1", "gear of the previous step"),
+        State("gear_before_2", "1", "gear two steps ago"),
+        State("gear_before_3", "1", "gear three steps ago"),
+        State("t_since_shift", "s", "time since the last change of gear"),
+        State("omega_estimate", "rad/s", "input speed at the end of the previous step, as achieved"),
+    )
+    variables = (
+        Variable("gear", "1", "gear", signal=True, kind="count"),
+        Variable("ratio", "1", "ratio of the gear", signal=True),
+        Variable("shifting", "1", "whether a shift is under way", signal=True, kind="flag"),
+        Variable("load", "1", "estimated load of the machine"),
+        Variable("omega_input_estimate", "rad/s", "estimated input speed in the present gear", signal=True),
+    )
+
+    def start(self) -> Mapping[str, Any]:
+        """Return the start values: first gear, no recent shift."""
+        return {"gear_before": 1.0, "gear_before_2": 1.0, "gear_before_3": 1.0, "t_since_shift": 15.0, "omega_estimate": 0.0}
+
+    def ratio_of(self, gear: Expr, ratios: tuple[Expr, ...]) -> Expr:
+        """Return the ratio of a whole-numbered gear."""
+        ratio = ratios[0]
+        for i, r in enumerate(ratios[1:], 2):
+            ratio = where(gear >= i - 0.5, r, ratio)
+        return ratio
+
+    @face("gear", "ratio", "shifting", "load", "omega_input_estimate", "next_gear_before", "next_gear_before_2", "next_gear_before_3", "next_t_since_shift")
+    def control(
+        self, tau_gearbox: Expr, omega_gearbox: Expr, slip_limited: Expr, trace_missed: Expr, torque_ratio: Expr,
+        ratios: tuple[Expr, ...], tau_envelope: Callable[[Expr], Expr], dt: Expr,
+        gear_before: Expr, gear_before_2: Expr, gear_before_3: Expr, t_since_shift: Expr, omega_estimate: Expr,
+        tau_accessory_before: Expr = 0.0,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Choose the gear for this step."""
+        ratio_before = self.ratio_of(gear_before, ratios)
+        slow = ca.logic_and(trace_missed, dt <= 0.11)
+        omega = where(slow, omega_estimate, omega_gearbox * ratio_before)
+        tau = tau_gearbox / (clip(torque_ratio, 0.2, 1) * ratio_before) + tau_accessory_before
+        load = where(slip_limited, 1, clip(tau / ca.fmax(tau_envelope(omega), 1e-9), 0, 1))
+        raised = ca.logic_or(gear_before > gear_before_2, gear_before > gear_before_3)
+        up = load < self.p.up(omega, gear_before)
+        down = ca.logic_and(load > self.p.down(omega, gear_before), ca.logic_not(raised))
+        gear = clip(gear_before + where(up, 1, where(down, -1, 0)), 1, len(ratios))
+        since = where(gear != gear_before, 0, t_since_shift + dt)
+        return {
+            "gear": gear,
+            "ratio": self.ratio_of(gear, ratios),
+            "shifting": since < self.p.t_shift - 1e-6,
+            "load": load,
+            "omega_input_estimate": omega,
+            "next_gear_before": gear,
+            "next_gear_before_2": gear_before,
+            "next_gear_before_3": gear_before_2,
+            "next_t_since_shift": since,
+        }
+
+    @face("next_omega_estimate")
+    def estimate(self, omega_gearbox_input: Expr, v_driveline: Expr, next_v: Expr) -> Mapping[str, Any]:
+        """Remember the input speed at the end of the step (paper eq. 10)."""
+        return {"next_omega_estimate": where(v_driveline > 0, omega_gearbox_input * next_v / ca.fmax(v_driveline, 1e-12), 0)}

@@ -1,0 +1,226 @@
+"""Maps: piecewise linear tables over one to three axes, as CasADi functions and as C.
+
+A table is called with numbers or symbols.  On symbols it gives a call node, so the same expression graph runs on the
+CasADi virtual machine and in generated C.  Two functions serve the call: an interpolant (no compiler needed), or
+the C below through `casadi.external`, about five times as fast.  Axes need not be uniform: a small index over equal
+bins tells where to start, and one or two comparisons finish the search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+
+class Axis(NamedTuple):
+    """Name and SI unit of a table's axis."""
+
+    name: str
+    unit: str
+
+
+def _grid(points: Any) -> tuple[npt.NDArray[np.float64], ...]:
+    return tuple(np.atleast_1d(np.asarray(x, dtype=float)) for x in points)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Piecewise linear function of one to three variables.
+
+    Parameters
+    ----------
+    points
+        Strictly rising points of each axis.
+    values
+        Array of shape ``(len(points[0]), len(points[1]), ...)``.
+    clip
+        Whether arguments outside the axes are moved to the edge; else the outermost piece is extended.
+
+    """
+
+    points: tuple[npt.NDArray[np.float64], ...]
+    values: npt.NDArray[np.float64]
+    clip: bool = True
+    name: str = field(default="table")
+
+    @classmethod
+    def of(cls, *points: Any, values: Any, clip: bool = True) -> Table:
+        """Return a table from any sequences.
+
+        Raises
+        ------
+        ValueError
+            If the shape does not fit, an axis does not rise or a value is missing.
+
+        """
+        axes, array = _grid(points), np.asarray(values, dtype=float)
+        shape = tuple(len(x) for x in axes)
+        if array.shape != shape:
+            raise ValueError(f"values have shape {array.shape}, the axes ask for {shape}")
+        for i, x in enumerate(axes, 1):
+            if not np.all(np.isfinite(x)):
+                raise ValueError(f"axis {i} has a missing value")
+            if np.any(np.diff(x) <= 0):
+                j = int(np.argmax(np.diff(x) <= 0))
+                raise ValueError(f"axis {i} must rise strictly, but {x[j + 1]:g} follows {x[j]:g}")
+        if not np.all(np.isfinite(array)):
+            where = tuple(int(k) + 1 for k in np.argwhere(~np.isfinite(array))[0])
+            raise ValueError(f"the value at position {where} is missing or not a number")
+        return cls(axes, array, clip)
+
+    def __call__(self, *x: Any) -> Any:
+        """Return the interpolated value; a number for numbers, an expression for symbols."""
+        if all(isinstance(v, int | float | np.floating) for v in x):
+            return float(self.interpolant(ca.vertcat(*x)))
+        return self.interpolant(ca.vertcat(*x))
+
+    def inside(self, axis: int) -> tuple[float, float]:
+        """Return the ends of one axis."""
+        return float(self.points[axis][0]), float(self.points[axis][-1])
+
+    @cached_property
+    def interpolant(self) -> ca.Function:
+        """The table as a function on the virtual machine; needs no compiler."""
+        x = ca.MX.sym("x", len(self.points))
+        keep = [i for i, p in enumerate(self.points) if len(p) > 1]
+        if not keep:
+            return ca.Function(self.name, [x], [ca.MX(float(self.values.flat[0]))], {"never_inline": True})
+        arguments = [ca.fmin(ca.fmax(x[i], self.points[i][0]), self.points[i][-1]) if self.clip else x[i] for i in keep]
+        grid = [self.points[i].tolist() for i in keep]
+        values = self.values.reshape([len(g) for g in grid]).ravel(order="F").tolist()
+        lookup = ca.interpolant(f"{self.name}_lookup", "linear", grid, values)
+        return ca.Function(self.name, [x], [lookup(ca.vertcat(*arguments))], {"never_inline": True})
+
+    def c_source(self, name: str) -> str:
+        """Return C that defines ``name`` and its derivative ``jac_name`` in CasADi's calling convention."""
+        return _c_source(self, name)
+
+
+@dataclass(frozen=True)
+class BoundTable:
+    """A table of an assembled model: calls a function with a name of its own, and still tells its ends and values."""
+
+    function: ca.Function
+    table: Table
+
+    def __call__(self, *x: Any) -> Any:
+        """Return the call node."""
+        return self.function(ca.vertcat(*x))
+
+    def inside(self, axis: int) -> tuple[float, float]:
+        """Return the ends of one axis."""
+        return self.table.inside(axis)
+
+    @property
+    def points(self) -> tuple[npt.NDArray[np.float64], ...]:
+        """Points of each axis."""
+        return self.table.points
+
+    @property
+    def values(self) -> npt.NDArray[np.float64]:
+        """Values at the points."""
+        return self.table.values
+
+
+def interpolants(named: Mapping[str, Table]) -> dict[str, ca.Function]:
+    """Return the tables as functions of the virtual machine."""
+    return {name: Table(t.points, t.values, t.clip, name).interpolant for name, t in named.items()}
+
+
+def _numbers(values: npt.ArrayLike) -> str:
+    return "{" + ", ".join(float(v).hex() if np.isfinite(v) else "NAN" for v in np.asarray(values, dtype=float).flat) + "}"
+
+
+def _axis_source(name: str, points: npt.NDArray[np.float64]) -> str:
+    """Return C that finds the interval of an axis with at least two points."""
+    bins = 4 * len(points)
+    edges = points[0] + (points[-1] - points[0]) * np.arange(bins) / bins
+    # Rounding may put a number just below an edge into the bin above it: start a hair early.
+    start = np.clip(np.searchsorted(points, edges - 1e-9 * (points[-1] - points[0]), side="right") - 1, 0, len(points) - 2)
+    return f"""
+static const double {name}_x[] = {_numbers(points)};
+static const double {name}_s[] = {_numbers(1.0 / np.diff(points))};
+static const unsigned short {name}_b[] = {{{", ".join(str(int(i)) for i in start)}}};
+static inline int {name}_find(double x) {{
+  double b = (x - {float(points[0]).hex()}) * {float(bins / (points[-1] - points[0])).hex()};
+  int i = !(b > 0) ? 0 : b < {bins} ? {name}_b[(int)b] : {len(points) - 2};
+  while (i < {len(points) - 2} && x >= {name}_x[i + 1]) ++i;
+  return i;
+}}"""
+
+
+def _c_source(table: Table, name: str) -> str:
+    n = len(table.points)
+    live = [i for i in range(n) if len(table.points[i]) > 1]
+    strides = [int(np.prod(table.values.shape[i + 1 :])) for i in range(n)]
+    lines = [_axis_source(f"{name}_{i}", table.points[i]) for i in live]
+    lines.append(f"static const double {name}_y[] = {_numbers(table.values)};")
+    corner = [(c, " + ".join(f"{strides[i]}" for i, bit in zip(live, c, strict=True) if bit) or "0") for c in product((0, 1), repeat=len(live))]
+    body = [f"static inline double {name}_value(const double *x, double *d) {{"]
+    for i in live:
+        lo, hi = table.inside(i)
+        body.append(f"  double x{i} = x[{i}];")
+        if table.clip:
+            body.append(f"  int in{i} = x{i} >= {lo.hex()} && x{i} <= {hi.hex()};")
+            body.append(f"  x{i} = x{i} < {lo.hex()} ? {lo.hex()} : x{i} > {hi.hex()} ? {hi.hex()} : x{i};")
+        body.append(f"  int i{i} = {name}_{i}_find(x{i});")
+        body.append(f"  double t{i} = (x{i} - {name}_{i}_x[i{i}]) * {name}_{i}_s[i{i}];")
+    offset = " + ".join(f"i{i} * {strides[i]}" for i in live) or "0"
+    body.append(f"  const double *y = {name}_y + {offset};")
+    for c, o in corner:
+        body.append(f"  double v{''.join(map(str, c))} = y[{o}];")
+    # Interpolate along the first axis, then the next; each round halves the corners.
+    level = {c: f"v{''.join(map(str, c))}" for c, _ in corner}
+    derivatives: dict[int, dict[tuple[int, ...], str]] = {}
+    for k, i in enumerate(live):
+        nxt: dict[tuple[int, ...], str] = {}
+        slopes: dict[tuple[int, ...], str] = {}
+        moved: dict[int, dict[tuple[int, ...], str]] = {j: {} for j in derivatives}
+        for rest in product((0, 1), repeat=len(live) - k - 1):
+            a, b = (0, *rest), (1, *rest)
+            tag = f"{k}_{''.join(map(str, rest))}"
+            body.append(f"  double m{tag} = {level[b]} - {level[a]};")
+            body.append(f"  double l{tag} = {level[a]} + t{i} * m{tag};")
+            nxt[rest] = f"l{tag}"
+            slopes[rest] = f"m{tag}"
+            for j, known in derivatives.items():
+                moved[j][rest] = f"({known[a]} + t{i} * ({known[b]} - {known[a]}))"
+        level, derivatives = nxt, {**moved, i: slopes}
+    inside = {i: f"in{i} ? " if table.clip else "" for i in live}
+    gradient = [
+        f"d[{i}] = {inside[i]}{derivatives[i][()]} * {name}_{i}_s[i{i}]{' : 0.0' if table.clip else ''};" if i in live else f"d[{i}] = 0.0;"
+        for i in range(n)
+    ]
+    body.append(f"  if (d) {{ {' '.join(gradient)} }}")
+    body.append(f"  return {level[()]};\n}}")
+    return "\n".join([*lines, *body, _CALL.format(name=name, n=n)])
+
+
+_CALL = """
+TABLE_EXPORT int {name}(const double **arg, double **res, casadi_int *iw, double *w, int mem) {{
+  if (res[0]) res[0][0] = {name}_value(arg[0], 0);
+  return 0;
+}}
+#ifdef TABLE_META
+TABLE_EXPORT int jac_{name}(const double **arg, double **res, casadi_int *iw, double *w, int mem) {{
+  if (res[0]) {name}_value(arg[0], res[0]);
+  return 0;
+}}
+TABLE_EXPORT casadi_int {name}_n_in(void) {{ return 1; }}
+TABLE_EXPORT casadi_int {name}_n_out(void) {{ return 1; }}
+static const casadi_int {name}_in[] = {{{n}, 1, 1}}, {name}_out[] = {{1, 1, 1}}, {name}_jac[] = {{1, {n}, 1}};
+TABLE_EXPORT const casadi_int *{name}_sparsity_in(casadi_int i) {{ return {name}_in; }}
+TABLE_EXPORT const casadi_int *{name}_sparsity_out(casadi_int i) {{ return {name}_out; }}
+TABLE_EXPORT casadi_int jac_{name}_n_in(void) {{ return 2; }}
+TABLE_EXPORT casadi_int jac_{name}_n_out(void) {{ return 1; }}
+TABLE_EXPORT const casadi_int *jac_{name}_sparsity_in(casadi_int i) {{ return i ? {name}_out : {name}_in; }}
+TABLE_EXPORT const casadi_int *jac_{name}_sparsity_out(casadi_int i) {{ return {name}_jac; }}
+#endif
+"""

@@ -1,0 +1,247 @@
+"""Wheels and axles: slip, grip, weight transfer, brakes, bearing drag and inertia.
+
+::
+
+    omega = v (1 + slip(F / W)) / r                                          (1), paper eq. 1 and 4
+    tau   = F_driveline r + tau_bearing(m) + J alpha                         (2), paper eq. 5
+    W_f   = m g a_f cos(theta) - (h / L) (m a + m g sin(theta))              (3), rear axle likewise with the opposite sign
+
+*Required* cuts the request to the grip of the driven axle (paper eq. 2, 3), splits braking between driveline and
+friction brakes by speed, and applies (1) and (2).  *Available* returns the driveline's force, adds the friction brakes
+that the request still needs, and where a speed limit acted turns (1) round (paper eq. 12).
+
+Drag inside the grip limit is linearised with ``v_end^2 ~ v_0 v_end``.  The slip's rate is neglected in the
+forward-facing model.  Left out: combined slip, tyre temperature, a dynamic rolling radius.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from halfshaft.library.body import BodyParameters
+from halfshaft.library.component import Component, Link, State, Turning, Variable, clip, drag, face, inertia, plant, where
+from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.ports import Expr, Port, Shaft, Tyre
+from halfshaft.library.tables import Axis, Table
+
+SPEED, SHARE = Axis("v", "m/s"), Axis("adhesion", "1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelParameters(Parameters):
+    """All wheels, axles and brakes of the vehicle together."""
+
+    r: float = param("m", "rolling radius", gt=0)
+    J: float = param("kg.m^2", "inertia of all wheels and axles", ge=0)
+    f_0: float = param("1", "rolling resistance, constant part", ge=0)
+    f_1: float = param("s/m", "rolling resistance, part that grows with speed", 0.0, ge=0)
+    mu_max: float = param("1", "largest force over weight", gt=0)
+    front_driven: float = param("1", "1 if the front axle is driven", 1.0, ge=0, le=1)
+    rear_driven: float = param("1", "1 if the rear axle is driven", 0.0, ge=0, le=1)
+    F_brake_front_max: float = param("N", "largest friction brake force, front", 1e7, gt=0)
+    F_brake_rear_max: float = param("N", "largest friction brake force, rear", 1e7, gt=0)
+    slip: Table = table("1", "slip over force per weight", SHARE, clip=True, ge=0)
+    tau_bearing: Table = table("N.m", "drag of bearings and released brakes over the vehicle's mass", Axis("m", "kg"), clip=False, ge=0)
+    share_driveline: Table = table("1", "share of a braking force that the driveline takes", SPEED, clip=True, ge=0, le=1)
+    share_front: Table = table("1", "share of a braking force that the front friction brakes take", SPEED, clip=True, ge=0, le=1)
+
+    def check(self) -> list[str]:
+        """Return what is wrong between parameters."""
+        driven = [x for x in (self.front_driven, self.rear_driven) if isinstance(x, int | float)]
+        return ["front_driven and rear_driven are both 0, at least one axle must be driven"] if sum(driven) == 0 and len(driven) == 2 else []
+
+
+class Grip(NamedTuple):
+    """The request cut to the grip, and what the way back needs of it."""
+
+    F: Expr
+    v: Expr
+    W_driven: Expr
+    limited: Expr
+
+
+class Split(NamedTuple):
+    """A force at the tyres, split between the driveline and the friction brakes."""
+
+    driveline: Expr
+    axle: Expr
+
+
+@dataclass(frozen=True)
+class Wheel(Component):
+    """Wheels, axles, tyres and brakes between the road and the final drive."""
+
+    p: WheelParameters
+    parameters = WheelParameters
+    tyre = Port(Tyre, "wheel")
+    axle = Port(Shaft, "source")
+    states = (State("omega_before", "rad/s", "required mean speed of the previous step"),)
+    variables = (
+        Variable("F_limited", "N", "required force after the grip limit"),
+        Variable("v_limited", "m/s", "required mean speed after the grip limit", signal=True),
+        Variable("slip_limited", "1", "whether the grip limit acts", signal=True, kind="flag"),
+        Variable("slip", "1", "slip of the driven axle, required"),
+        Variable("F_brake_front", "N", "friction brake force, front", signal=True),
+        Variable("F_brake_rear", "N", "friction brake force, rear", signal=True),
+        Variable("F_friction_required", "N", "friction brake force that the split of the request asks for"),
+        Variable("F_driveline_required", "N", "driveline force that the split of the request asks for"),
+        Variable("v_driveline", "m/s", "mean vehicle speed that the driveline's speed allows", signal=True),
+        Variable("P_brake", "W", "power lost in the friction brakes", "loss"),
+        Variable("P_slip", "W", "power lost by slip", "loss"),
+        Variable("P_bearing", "W", "power lost in bearings", "loss"),
+        Variable("P_kinetic", "W", "rate of change of the wheels' kinetic energy", "kinetic"),
+        Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
+    )
+    laws = ("rolling",)
+
+    def start(self, v: Expr) -> Mapping[str, Any]:  # type: ignore[override]
+        """Return the start values: rolling without slip."""
+        return {"omega_before": v / self.p.r}
+
+    @face("rolling")
+    def law(self) -> Mapping[str, Any]:
+        """Publish the rolling resistance coefficients, which the body's force balance needs."""
+        return {"rolling": (self.p.f_0, self.p.f_1)}
+
+    def weight(self, a: Expr, grade: Expr, body: BodyParameters) -> tuple[Expr, Expr]:
+        """Return the axle loads, equation (3) [N]."""
+        cos = 1 / ca.sqrt(1 + grade**2)
+        W = body.m * body.g * cos
+        transfer = body.h / body.wheelbase * (body.m * a + W * grade)
+        return body.front_share * W - transfer, (1 - body.front_share) * W + transfer
+
+    def grip(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters) -> Grip:
+        """Return the request cut to what the driven axle can transmit (paper eq. 2, 3)."""
+        p, m = self.p, body.m
+        cos = 1 / ca.sqrt(1 + grade**2)
+        W, climb = m * body.g * cos, m * body.g * cos * grade
+        aero = 0.5 * body.rho * body.c_d * body.A
+        static = p.mu_max * W * (p.front_driven * body.front_share + p.rear_driven * (1 - body.front_share))
+        transfer = p.mu_max * body.h / body.wheelbase * (p.front_driven - p.rear_driven)
+        rest = -W * p.f_0 - climb - 0.5 * W * p.f_1 * v - 0.25 * aero * v**2 + m * v / dt
+        slope = 0.75 * aero * v + 0.5 * W * p.f_1 + m / dt
+        v_highest = (static - transfer * climb + rest + transfer * m * v / dt) / (slope + transfer * m / dt)
+        v_lowest = (-static + transfer * climb + rest - transfer * m * v / dt) / (slope - transfer * m / dt)
+        v_mean = clip(tyre.v, (v_lowest + v) / 2, (v_highest + v) / 2)
+        front, rear = self.weight(2 * (v_mean - v) / dt, grade, body)
+        W_driven = p.front_driven * front + p.rear_driven * rear
+        F_max = p.mu_max * W_driven
+        F = clip(tyre.F, -F_max, F_max)
+        return Grip(F, v_mean, W_driven, F != tyre.F)
+
+    def split(self, F: Expr, v: Expr) -> Split:
+        """Return the driveline's share of a force and the force on the driven axle.
+
+        A driving force is the driveline's alone.  A braking force is shared by speed; friction brakes of an axle
+        that is not driven never load the driven one.
+        """
+        p = self.p
+        driveline, front = p.share_driveline(v), p.share_front(v)
+        rear = clip(1 - driveline - front, 0, 1)
+        other = (1 - p.front_driven) * front + (1 - p.rear_driven) * rear
+        return Split(where(F >= 0, F, F * driveline), where(F >= 0, F, F * (1 - other)))
+
+    def slip(self, F: Expr, W: Expr) -> Expr:
+        """Return the slip at a force on an axle that carries the weight `W`."""
+        return ca.sign(F) * self.p.slip(ca.fabs(F) / ca.fmax(W, 1e-3))
+
+    def shaft(self, F: Expr, omega: Expr, alpha: Expr) -> Shaft:
+        """Return the shaft point at the tread: force times radius, before bearings and inertia."""
+        return Shaft(F * self.p.r, omega, alpha)
+
+    def chain(self, turning: Turning, body: BodyParameters) -> tuple[Link, Link]:
+        """Return bearing drag and inertia, equation (2)."""
+        return drag(lambda shaft: turning(shaft.omega) * self.p.tau_bearing(body.m)), inertia(self.p.J)
+
+    @face(
+        "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
+        "next_omega_before", "_asked", "_grip", "_way",
+    )  # fmt: skip
+    def required(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters, omega_before: Expr, turning: Turning) -> Mapping[str, Any]:
+        """Return the axle point that the request needs, equations (1) and (2)."""
+        grip = self.grip(tyre, v, grade, dt, body)
+        split = self.split(grip.F, tyre.v)
+        slip = self.slip(split.axle, grip.W_driven)
+        omega = grip.v * (1 + slip) / self.p.r
+        tread = self.shaft(split.driveline, omega, (omega - omega_before) / dt)
+        way = [tread]
+        links = self.chain(turning, body)
+        for link in links:
+            way.append(link.law(way[-1]))
+        return {
+            "axle": way[-1],
+            "F_limited": grip.F,
+            "v_limited": grip.v,
+            "slip_limited": grip.limited,
+            "slip": slip,
+            "F_friction_required": grip.F - split.driveline,
+            "F_driveline_required": split.driveline,
+            "next_omega_before": omega,
+            "_asked": tyre,
+            "_grip": grip,
+            "_way": tuple(zip(links, way, way[1:], strict=False)),
+        }
+
+    @face(
+        "tyre", "v_driveline", "F_brake_front", "F_brake_rear",
+        "P_brake", "P_slip", "P_bearing", "P_kinetic", "P_discretisation",
+    )  # fmt: skip
+    def available(self, axle: Shaft, dt: Expr, _asked: Tyre, _grip: Grip, _way: Any) -> Mapping[str, Any]:
+        """Return the force and speed at the road that the offered axle point gives."""
+        p = self.p
+        tread = axle
+        for link, asked, sent in reversed(_way):
+            tread = link.back(asked, sent, tread)
+        (_, at_tread, after_bearing), (_, _, at_axle) = _way
+        F_driveline = tread.tau / p.r
+        F_front, F_rear = self.friction(ca.fmin(0, _asked.F - F_driveline) * (_asked.F < 0), p.r * axle.omega)
+        F_driven = F_driveline + where(p.front_driven, F_front, 0) + where(p.rear_driven, F_rear, 0)
+        v_driveline = p.r * axle.omega / (1 + self.slip(F_driven, _grip.W_driven))
+        v_tyre = where(ca.fabs(at_axle.omega - axle.omega) > 1e-3, v_driveline, _grip.v)
+        F = F_driveline + F_front + F_rear
+        J_alpha = at_axle.tau - after_bearing.tau
+        kinetic = J_alpha * (at_axle.omega - at_axle.alpha * dt / 2)
+        return {
+            "tyre": Tyre(F, v_tyre, _asked.a),
+            "v_driveline": v_driveline,
+            "F_brake_front": F_front,
+            "F_brake_rear": F_rear,
+            "P_brake": -(F_front + F_rear) * v_tyre,
+            "P_slip": F_driveline * (p.r * axle.omega - v_tyre),
+            "P_bearing": (after_bearing.tau - at_tread.tau) * axle.omega,
+            "P_kinetic": kinetic,
+            "P_discretisation": J_alpha * axle.omega - kinetic,
+        }
+
+    def friction(self, F: Expr, v: Expr) -> tuple[Expr, Expr]:
+        """Return the friction brake forces, front and rear, that make up `F` (negative) at the speed `v`."""
+        p = self.p
+        driveline = p.share_driveline(v)
+        share = where(driveline < 1, clip(p.share_front(v) / ca.fmax(1 - driveline, 1e-12), 0, 1), 0.6)
+        front = ca.fmax(share * F, -p.F_brake_front_max)
+        return front, ca.fmax(ca.fmin(0, F - front), -p.F_brake_rear_max)
+
+    @plant("axle", "P_brake", "P_slip", "P_bearing", "P_kinetic")
+    def flow(self, tyre: Tyre, F_brake_front: Expr, F_brake_rear: Expr, grade: Expr, body: BodyParameters, turning: Turning) -> Mapping[str, Any]:
+        """Return the axle point in continuous time; the friction brakes' forces are held, and fade at standstill."""
+        p, moving = self.p, turning(tyre.v)
+        front, rear = moving * F_brake_front, moving * F_brake_rear
+        F_driveline = tyre.F - front - rear
+        F_driven = F_driveline + where(p.front_driven, front, 0) + where(p.rear_driven, rear, 0)
+        loads = self.weight(tyre.a, grade, body)
+        slip = self.slip(F_driven, p.front_driven * loads[0] + p.rear_driven * loads[1])
+        point = self.shaft(F_driveline, tyre.v * (1 + slip) / p.r, tyre.a * (1 + slip) / p.r)
+        bearing, rotor = self.chain(turning, body)
+        after_bearing = bearing.law(point)
+        axle = rotor.law(after_bearing)
+        return {
+            "axle": axle,
+            "P_brake": -(front + rear) * tyre.v,
+            "P_slip": point.P - F_driveline * tyre.v,
+            "P_bearing": after_bearing.P - point.P,
+            "P_kinetic": axle.P - after_bearing.P,
+        }

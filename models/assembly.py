@@ -1,0 +1,194 @@
+"""From a model to its step: one pure function of state, request and parameters.
+
+::
+
+    step(state, request, parameters) -> (next state, outputs)
+    start(parameters) -> state
+
+Every element of the four vectors has a `Description`.  Numbers of the parts are run-time parameters; their tables are
+constants of the build, brought in by `functions`: as interpolants, or as compiled C (`halfshaft.fmu_build`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from halfshaft.library.component import Component
+from halfshaft.library.parameters import bind, numbers, tables
+from halfshaft.library.ports import MEANINGS, SHOWN, UNITS
+from halfshaft.library.tables import BoundTable, Table, interpolants
+from halfshaft.models.model import Model
+from halfshaft.models.wiring import Key, Wiring
+
+
+class Description(NamedTuple):
+    """What one element of a vector is."""
+
+    name: str
+    unit: str
+    doc: str
+    kind: str = "real"
+    start: float = 0.0
+    lowest: float | None = None
+    highest: float | None = None
+    booking: str = ""
+    state: int | None = None
+
+
+REQUESTED = (
+    Description("v_request", "m/s", "requested speed at the end of the step"),
+    Description("grade", "1", "slope of the road, rise over run"),
+    Description("key_on", "1", "whether the key is on", "flag", 1.0),
+    Description("dt", "s", "length of the step", "real", 1.0),
+)
+
+
+def step_turning(speed: Any) -> Any:
+    """Tell whether something moves: 0 or 1, as the paper's method has it."""
+    return speed > 0
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """The model with symbols for its numbers and functions for its tables."""
+
+    parts: Mapping[str, Component]
+    parameters: ca.SX
+    descriptions: tuple[Description, ...]
+
+
+def table_name(model: Model, part: str, field: str) -> str:
+    """Return the name of a table's function."""
+    return f"{model.name}_{part}_{field}"
+
+
+def all_tables(model: Model) -> dict[str, Table]:
+    """Return the tables of a model by the names of their functions."""
+    return {table_name(model, name, field): t for name, part in model.parts.items() for field, t in tables(part.p)}
+
+
+def symbolic(model: Model, functions: Mapping[str, ca.Function]) -> Symbols:
+    """Return the model's parts with numbers as symbols and tables as functions."""
+    parts, symbols, described = {}, [], []
+    for name, part in model.parts.items():
+        own = {}
+        for field, spec, value in numbers(part.p):
+            own[field] = ca.SX.sym(f"{name}.{field}")
+            symbols.append(own[field])
+            lowest = spec.ge if spec.ge is not None else spec.gt
+            highest = spec.le if spec.le is not None else spec.lt
+            described.append(Description(f"{name}.{field}", spec.unit, spec.doc, "real", value, lowest, highest))
+        maps = {field: BoundTable(functions[table_name(model, name, field)], t) for field, t in tables(part.p)}
+        parts[name] = replace(part, p=bind(part.p, own, maps))
+    return Symbols(parts, ca.vertcat(*symbols), tuple(described))
+
+
+@dataclass(frozen=True)
+class Step:
+    """The compiled-to-be step of a model."""
+
+    name: str
+    title: str
+    function: ca.Function
+    start: ca.Function
+    states: tuple[Description, ...]
+    requests: tuple[Description, ...]
+    parameters: tuple[Description, ...]
+    outputs: tuple[Description, ...]
+    tables: Mapping[str, Table]
+
+    @cached_property
+    def output_index(self) -> dict[str, int]:
+        """Position of each output by name."""
+        return {d.name: i for i, d in enumerate(self.outputs)}
+
+    @cached_property
+    def state_index(self) -> dict[str, int]:
+        """Position of each state by name."""
+        return {d.name: i for i, d in enumerate(self.states)}
+
+    @cached_property
+    def parameter_index(self) -> dict[str, int]:
+        """Position of each parameter by name."""
+        return {d.name: i for i, d in enumerate(self.parameters)}
+
+
+def _described_outputs(model: Model, parts: Mapping[str, Component], states: list[Description]) -> list[tuple[Description, Key, str]]:
+    """Return description, place and field of every output."""
+    found: list[tuple[Description, Key, str]] = []
+    position = {d.name: i for i, d in enumerate(states)}
+    for name, part in parts.items():
+        for s in part.states:
+            if s.shown:
+                full = f"{name}.{s.name}"
+                found.append((Description(full, s.unit, s.doc, state=position[full]), ("next", name, s.name), ""))
+        for v in part.all_variables():
+            found.append((Description(f"{name}.{v.name}", v.unit, v.doc, v.kind, booking=v.booking), ("variable", name, v.name), ""))
+        for c in model.connections:
+            required: Key = ("required", c.supply, c.supply_port.name)
+            available: Key = ("available", c.supply, c.supply_port.name)
+            fields = [f for f in SHOWN[c.supply_port.kind] if f != "P"]
+            if c.supply == name:
+                for f in fields:
+                    found.append((Description(f"{name}.{f}", UNITS[f], f"{MEANINGS[f]} toward the wheel, available"), available, f))
+                    found.append((Description(f"{name}.{f}_required", UNITS[f], f"{MEANINGS[f]} toward the wheel, required"), required, f))
+                found.append((Description(f"{name}.P_out", "W", "power toward the wheel, available"), available, "P"))
+            if c.load == name:
+                several = sum(other.load == name for other in model.connections) > 1
+                suffix = f"_{c.load_port.name}" if several else ""
+                found.append((Description(f"{name}.P_in{suffix}", "W", "power from the source, available"), available, "P"))
+                if not fields:
+                    found.append((Description(f"{name}.P_in{suffix}_required", "W", "power from the source, required"), required, "P"))
+    return found
+
+
+def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Table]], Mapping[str, ca.Function]] = interpolants) -> Step:
+    """Return the step of a model.
+
+    Raises
+    ------
+    WiringError
+        If the parts do not fit together; everything that is wrong is named.
+
+    """
+    wired = Wiring(model, model.parts)
+    named = all_tables(model)
+    symbols = symbolic(model, functions(named))
+    wiring = Wiring(model, symbols.parts)
+
+    states, known = [], dict[Key, Any]()
+    for name, part in symbols.parts.items():
+        for s in part.states:
+            states.append(Description(f"{name}.{s.name}", s.unit, s.doc))
+            known["state", name, s.name] = ca.SX.sym(f"{name}.{s.name}")
+    state = ca.vertcat(*known.values()) if known else ca.SX(0, 1)
+    request = {d.name: ca.SX.sym(d.name) for d in REQUESTED}
+    known |= {("request", "", name): symbol for name, symbol in request.items()}
+    known["law of the model", "", "turning"] = step_turning
+
+    values = wiring.evaluate(known)
+    following = ca.vertcat(*(values["next", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
+    outputs = [o for o in _described_outputs(model, wired.parts, states) if o[1] in values]
+    shown = ca.vertcat(*(values[key] if not field else getattr(values[key], field) for _, key, field in outputs))
+
+    start = wiring.start()
+    first = ca.vertcat(*(start["state", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
+    return Step(
+        model.name,
+        title or model.name,
+        ca.Function(
+            f"{model.name}_step", [state, ca.vertcat(*request.values()), symbols.parameters], [following, shown],
+            ["state", "request", "parameters"], ["next_state", "outputs"],
+        ),
+        ca.Function(f"{model.name}_start", [symbols.parameters], [ca.SX(first)], ["parameters"], ["state"]),
+        tuple(states),
+        REQUESTED,
+        symbols.descriptions,
+        tuple(o[0] for o in outputs),
+        named,
+    )  # fmt: skip

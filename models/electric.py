@@ -1,0 +1,22 @@
+"""Battery electric car: one motor on one axle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from halfshaft.library.component import Component
+from halfshaft.models.model import Model
+
+
+def electric(parts: Mapping[str, Component]) -> Model:
+    """Return the model; parts are listed from the wheel to the source."""
+    m = Model("electric", parts)
+    p = m.parts
+    m.connect(p["body"].tyre, p["wheel"].tyre)
+    m.connect(p["wheel"].axle, p["final_drive"].output)
+    m.connect(p["final_drive"].input, p["gearbox"].output)
+    m.connect(p["gearbox"].input, p["motor"].shaft)
+    m.connect(p["motor"].dc, p["accessories"].load)
+    m.connect(p["accessories"].supply, p["bus"].load)
+    m.connect(p["bus"].battery, p["battery"].dc)
+    return m

@@ -1,0 +1,66 @@
+"""A model: parts and connections.
+
+Reading a model is reading a diagram: there is no arithmetic in it.  Power ports are connected one by one; signals need
+no lines, a part reads what another publishes by name (the control bus of a vehicle).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from halfshaft.library.component import Component
+from halfshaft.library.errors import WiringError
+from halfshaft.library.ports import Port, PortOf
+
+
+class Connection:
+    """A connection from a port toward the source (of the load) to a port toward the wheel (of the supply)."""
+
+    def __init__(self, load: str, load_port: Port, supply: str, supply_port: Port) -> None:
+        self.load, self.load_port, self.supply, self.supply_port = load, load_port, supply, supply_port
+
+
+class Model:
+    """Parts by name, listed from the wheel to the source, and their connections."""
+
+    def __init__(self, name: str, parts: Mapping[str, Component]) -> None:
+        self.name = name
+        self.parts = dict(parts)
+        self.connections: list[Connection] = []
+        self._problems: list[str] = []
+
+    def _place(self, end: PortOf) -> str:
+        for name, part in self.parts.items():
+            if part is end.component:
+                return name
+        raise WiringError(self.name, [f"{type(end.component).__name__}.{end.port.name} belongs to no part of this model"])
+
+    def connect(self, one: PortOf, other: PortOf) -> None:
+        """Connect two ports, in any order; what does not fit is reported together by `check`."""
+        names = {id(end): f"{self._place(end)}.{end.port.name} ({end.port.kind.__name__})" for end in (one, other)}
+        both = f"cannot connect {names[id(one)]} to {names[id(other)]}"
+        if one.port.kind is not other.port.kind:
+            self._problems.append(f"{both}: the kinds differ")
+            return
+        if one.port.side == other.port.side:
+            side = "the wheel" if one.port.side == "wheel" else "the source"
+            self._problems.append(f"{both}: both ports look toward {side}")
+            return
+        load, supply = (one, other) if one.port.side == "source" else (other, one)
+        for end in (one, other):
+            for c in self.connections:
+                if (self._place(end), end.port) in ((c.load, c.load_port), (c.supply, c.supply_port)):
+                    self._problems.append(f"{both}: {names[id(end)]} is connected already")
+                    return
+        self.connections.append(Connection(self._place(load), load.port, self._place(supply), supply.port))
+
+    def check(self) -> list[str]:
+        """Return what is wrong with the connections."""
+        used = {(c.load, c.load_port.name) for c in self.connections} | {(c.supply, c.supply_port.name) for c in self.connections}
+        loose = [
+            f"{name}.{port.name} ({port.kind.__name__}) is not connected"
+            for name, part in self.parts.items()
+            for port in part.ports().values()
+            if not port.optional and (name, port.name) not in used
+        ]
+        return [*self._problems, *([] if self._problems else loose)]

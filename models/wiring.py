@@ -1,0 +1,187 @@
+"""Finds the order in which the faces of a model's parts are computed.
+
+Every face names what it takes and gives (`halfshaft.library.component`).  Here the names are resolved to their makers and the
+faces sorted; all that cannot be resolved is reported at once, and a loop that no memory breaks is refused with the
+names of the faces in it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from halfshaft.library.component import Component, Face, arguments
+from halfshaft.library.errors import WiringError, nearest
+from halfshaft.models.model import Model
+
+#: Where a value lives: what it is, the part that it belongs to (empty for the model's own), its name.
+Key = tuple[str, str, str]
+
+REQUESTS = ("v_request", "grade", "key_on", "dt")
+LAWS = ("turning",)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A face of a part with its names resolved."""
+
+    part: str
+    face: Face
+    takes: Mapping[str, Key]
+    gives: Mapping[str, Key]
+
+    def __str__(self) -> str:
+        """Return ``part.face``."""
+        return f"{self.part}.{self.face.name}"
+
+
+class Wiring:
+    """All faces of a model with their names resolved.
+
+    Raises
+    ------
+    WiringError
+        With everything that does not fit, both ends named.
+
+    """
+
+    def __init__(self, model: Model, parts: Mapping[str, Component]) -> None:
+        self.model, self.parts = model, parts
+        problems = model.check()
+        self.bus = self._signals(problems)
+        self.states = {name: {s.name for s in part.states} for name, part in parts.items()}
+        self._ends: dict[tuple[str, str], tuple[str, str]] = {}
+        for c in model.connections:
+            self._ends[c.load, c.load_port.name] = self._ends[c.supply, c.supply_port.name] = (c.supply, c.supply_port.name)
+        self.faces = [self._bind(name, face, problems) for name, part in parts.items() for face in self.faces_of(part)]
+        self.maker = {key: bound for bound in self.faces for key in bound.gives.values()}
+        self.finish(problems)
+        if problems:
+            raise WiringError(model.name, problems)
+
+    def faces_of(self, part: Component) -> Iterable[Face]:
+        """Return the faces of a part that this wiring connects."""
+        return part.faces()
+
+    def finish(self, problems: list[str]) -> None:
+        """Check that everything taken is given."""
+        for bound in self.faces:
+            for name, key in bound.takes.items():
+                if key[0] not in ("state", "request", "law of the model") and key not in self.maker:
+                    problems.append(f"{bound} takes {name}, but nothing gives {key[1]}.{key[2]} ({key[0]})")
+
+    def _signals(self, problems: list[str]) -> dict[str, Key]:
+        found: list[tuple[str, Key]] = []
+        for name, part in self.parts.items():
+            found += [(v.name, ("variable", name, v.name)) for v in part.all_variables() if v.signal]
+            found += [(law, ("law", name, law)) for law in part.laws]
+            found += [(s.name, ("state", name, s.name)) for s in part.states if s.signal]
+            found += [(f"next_{s.name}", ("next", name, s.name)) for s in part.states if s.signal]
+        for name, n in Counter(name for name, _ in found).items():
+            if n > 1:
+                owners = " and ".join(key[1] for other, key in found if other == name)
+                # Of several torque envelopes the one nearest to the wheels counts: it is what the gearbox feels.
+                if name != "tau_envelope":
+                    problems.append(f"the signal {name} is published by {owners}; one part must own it")
+        return dict(reversed(found))
+
+    def _bind(self, part: str, face: Face, problems: list[str]) -> Bound:
+        takes, gives, ports = {}, {}, self.parts[part].ports()
+        laws, states = self.parts[part].laws, self.states[part]
+        variables = {v.name for v in self.parts[part].all_variables()}
+        for name in face.takes:
+            if name.startswith("_"):
+                takes[name] = ("private", part, name)
+            elif name in ports:
+                if (part, name) in self._ends:
+                    takes[name] = ("required" if ports[name].side == "wheel" else "available", *self._ends[part, name])
+            elif name in states:
+                takes[name] = ("state", part, name)
+            elif name in REQUESTS:
+                takes[name] = ("request", "", name)
+            elif name in variables:
+                takes[name] = ("variable", part, name)
+            elif name in laws:
+                takes[name] = ("law", part, name)
+            elif name in LAWS:
+                takes[name] = ("law of the model", "", name)
+            elif name in self.bus:
+                takes[name] = self.bus[name]
+            elif name not in face.optional:
+                problems.append(f"{part}.{face.name} reads the signal {name}, which no part publishes{nearest(name, self.bus)}")
+        for name in face.gives:
+            if name.startswith("_"):
+                gives[name] = ("private", part, name)
+            elif name in ports:
+                if (part, name) in self._ends:
+                    gives[name] = ("available" if ports[name].side == "wheel" else "required", *self._ends[part, name])
+            elif name.startswith("next_") and name[5:] in states:
+                gives[name] = ("next", part, name[5:])
+            elif name.startswith("der_") and name[4:] in states:
+                gives[name] = ("derivative", part, name[4:])
+            elif name == "balance":
+                gives[name] = ("balance", part, name)
+            elif name in variables:
+                gives[name] = ("variable", part, name)
+            elif name in laws:
+                gives[name] = ("law", part, name)
+            else:
+                problems.append(f"{part}.{face.name} gives {name}, which {type(self.parts[part]).__name__} does not declare")
+        return Bound(part, face, takes, gives)
+
+    def evaluate(self, known: Mapping[Key, Any], wanted: Iterable[Key] | None = None) -> dict[Key, Any]:
+        """Compute all faces, or only those that `wanted` needs, from what is `known`.
+
+        Raises
+        ------
+        WiringError
+            If the faces form a loop.
+
+        """
+        values = dict(known)
+        done: set[int] = set()
+
+        def need(key: Key, path: tuple[Bound, ...]) -> None:
+            if key not in values:
+                run(self.maker[key], path)
+
+        def run(bound: Bound, path: tuple[Bound, ...]) -> None:
+            if id(bound) in done:
+                return
+            if bound in path:
+                loop = " -> ".join(str(b) for b in (*path[path.index(bound) :], bound))
+                raise WiringError(self.model.name, [f"undeclared loop, a memory must break it: {loop}"])
+            for key in bound.takes.values():
+                need(key, (*path, bound))
+            given = bound.face.run(**{name: values[key] for name, key in bound.takes.items()})
+            for name, key in bound.gives.items():
+                values.setdefault(key, given[name])
+            done.add(id(bound))
+
+        if wanted is None:
+            for bound in self.faces:
+                run(bound, ())
+        else:
+            for key in wanted:
+                need(key, ())
+        return values
+
+    def start(self) -> dict[Key, Any]:
+        """Return the start value of every state."""
+        values: dict[Key, Any] = {}
+        waiting = dict(self.parts)
+        while waiting:
+            ready = {
+                name: part
+                for name, part in waiting.items()
+                if all(self.bus[a] in values for a in arguments(part.start)[0])
+            }
+            if not ready:
+                raise WiringError(self.model.name, [f"start values form a loop: {', '.join(waiting)}"])
+            for name, part in ready.items():
+                given = part.start(**{a: values[self.bus[a]] for a in arguments(part.start)[0]})
+                values |= {("state", name, s.name): given[s.name] for s in part.states}
+                del waiting[name]
+        return values

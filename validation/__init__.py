@@ -1,0 +1,1 @@
+"""Checks against the paper, other tools and measured speed."""
