@@ -81,10 +81,14 @@ class CompiledStep:
         positions = {
             "HS_X_V": step.state_index["body.v"],
             "HS_X_DISTANCE": step.state_index["body.distance"],
+            "HS_X_MISSED": step.state_index["body.trace_missed"],
+            "HS_P_MISS": step.parameter_index["body.v_miss"],
             "HS_Y_REQUEST": step.output_index["body.v_request"],
             "HS_Y_MISS": step.output_index["body.trace_miss"],
         }
         defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
+        decisions = [*step.decisions, -1]
+        defines += f"static const int hs_decisions[] = {{{', '.join(map(str, decisions))}}};\n"
         loop = files("halfshaft.cosim").joinpath("march.c").read_text()
         self._library = ctypes.CDLL(str(shared_library(step_code(step) + defines + loop, step.name)))
         self._library.hs_march.restype = ctypes.c_long
@@ -167,7 +171,7 @@ class InterpretedStep:
             if samples.grade_by_distance:
                 grade = np.interp(x[distance], *samples.grade_by_distance)
             try:
-                x, rows[k] = self(x, np.array([v, grade, key_on, dt]), parameters)
+                x, rows[k] = self(x, np.array([v, grade, key_on, dt, 0.0]), parameters)
             except SolveError:
                 raise _lost(self.step, samples, k) from None
         highest = rows.max(axis=0) if len(rows) else np.full(rows.shape[1], -np.inf)

@@ -1,4 +1,5 @@
-/* Marches the step over a cycle.  Included after the step's code; HS_X_* and HS_Y_* are positions in state and outputs. */
+/* Marches the step over a cycle.  Included after the step's code; HS_X_*, HS_Y_* and HS_P_* are positions in state, outputs and parameters,
+   hs_decisions those of the states that hold decisions of the controls, ended by -1. */
 
 #if defined(_WIN32)
 #define HS_EXPORT __declspec(dllexport)
@@ -97,7 +98,7 @@ static double grade_at(double s, long n, const double *distance, const double *g
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
                         const double *grade_distance, const double *grade_value, const double *p, double *x, double *history,
                         double *sums, double *highest, int mode, long *evaluations) {
-  double state[2][HS_NX], row[HS_NY], u[HS_NU];
+  double state[2][HS_NX], decided[HS_NX], row[HS_NY], u[HS_NU];
   double *now = state[0], *next = state[1];
   trial t = {0, p, u, 0, 0, 0, 0, 0, 1};
   long k;
@@ -108,12 +109,21 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     u[1] = n_grade ? grade_at(now[HS_X_DISTANCE], n_grade, grade_distance, grade_value) : grade[k];
     u[2] = key_on[k];
     u[3] = dt[k];
+    u[4] = 0;
     t.x = now; t.xn = next; t.y = y;
     double s = shortfall(&t, v[k]);
     if (mode != HYBRID && s > HS_REACHED) {
+      /* The controls have decided by what was asked for; the search keeps gear and clutch. */
+      for (int i = 0; i < HS_NX; ++i) decided[i] = now[i];
+      for (const int *d = hs_decisions; *d >= 0; ++d) decided[*d] = next[*d];
+      decided[HS_X_MISSED] = 0;
+      t.x = decided;
+      u[4] = 1;
       if (mode == REFINED) refine(&t, v[k], s); else iterate(&t, v[k], s);
+      for (const int *d = hs_decisions; *d >= 0; ++d) next[*d] = decided[*d];
       y[HS_Y_REQUEST] = v[k];
       y[HS_Y_MISS] = v[k] - next[HS_X_V];
+      next[HS_X_MISSED] = y[HS_Y_MISS] > p[HS_P_MISS];
     }
     if (t.failed) break;
     for (int i = 0; i < HS_NY; ++i) {

@@ -7,24 +7,25 @@ import tempfile
 import zipfile
 from collections.abc import Mapping
 from html import escape
-from importlib.metadata import distribution
+from importlib.metadata import distributions
 from pathlib import Path
 
 from halfshaft.fmu_build.compiler import SUFFIX, shared_library
-from halfshaft.fmu_build.interface import CycleTable, Model, Version, check, variables
 from halfshaft.fmu_build.sources import sources
+from halfshaft.fmu_build.variables import CycleTable, Version, check, variables
 from halfshaft.fmu_build.xml import build_description, model_description, timestamp
 from halfshaft.library.errors import InputError
+from halfshaft.models.assembly import Step
 
 
-def build_fmu(model: Model, code: str, path: Path | str, *, fmi: Version, step_size: float = 1.0, cycle: CycleTable | None = None) -> Path:
+def build_fmu(step: Step, code: str, path: Path | str, *, fmi: Version, step_size: float = 1.0, cycle: CycleTable | None = None) -> Path:
     """Write a co-simulation FMU and return its path.
 
     Without a cycle the FMU is driven: requested speed, grade and key are inputs.  With one it is self-contained.
 
     Parameters
     ----------
-    model
+    step
         The assembled step.
     code
         Its C, see `halfshaft.fmu_build.code`.
@@ -45,23 +46,22 @@ def build_fmu(model: Model, code: str, path: Path | str, *, fmi: Version, step_s
         If there is no C compiler, or it refuses the code.
 
     """
-    import fmpy  # noqa: PLC0415 - takes half a second
+    import fmpy  # takes half a second
 
-    check(model, step_size, cycle)
-    table = variables(model, step_size, cycle)
-    c = sources(model, code, table, cycle, fmi)
-    library = shared_library(c.files[c.main], model.name, {name: text for name, text in c.files.items() if name != c.main})
+    check(step, step_size, cycle)
+    table = variables(step, step_size, cycle)
+    c = sources(step, code, table, cycle, fmi)
+    library = shared_library(c.files[c.main], step.name, {name: text for name, text in c.files.items() if name != c.main})
     platform = fmpy.platform if fmi == 2 else fmpy.platform_tuple
     content = {
-        "modelDescription.xml": model_description(model, table, cycle, step_size, fmi, c.token, c.main),
-        f"binaries/{platform}/{model.name}{SUFFIX}": library.read_bytes(),
-        "documentation/index.html": _documentation(model, cycle, step_size).encode(),
+        "modelDescription.xml": model_description(step, table, cycle, step_size, fmi, c.token, c.main),
+        f"binaries/{platform}/{step.name}{SUFFIX}": library.read_bytes(),
+        "documentation/index.html": _documentation(step, cycle, step_size).encode(),
         **{f"sources/{name}": text.encode() for name, text in c.files.items()},
     }
     if fmi == 3:
-        content["sources/buildDescription.xml"] = build_description(model, c.main)
-    licence = distribution("halfshaft").read_text("licenses/LICENSE")
-    if licence:
+        content["sources/buildDescription.xml"] = build_description(step, c.main)
+    for licence in filter(None, (d.read_text("licenses/LICENSE") for d in distributions(name="halfshaft"))):
         content["documentation/licenses/halfshaft.txt"] = licence.encode()
     return _write(Path(path), content)
 
@@ -85,12 +85,11 @@ def _write(path: Path, content: Mapping[str, bytes]) -> Path:
 
 
 _DRIVEN = """\
-<p>Inputs: <code>v_request</code>, the requested speed at the <em>end</em> of the communication step; <code>grade</code> and
-<code>key_on</code>, which hold during the step. To meet a speed trace exactly, set the value of the next point of the trace before each
-step, or (FMI 2.0) the value at the start of the step together with its time derivative, which counts for that step only. In an FMI 3.0
-master that sets inputs at the start of a step, such as FMPy, shift the trace: its first point, at the start time, is the speed at the
-end of the first step. Within a communication step that is longer than the internal one, the request moves straight from its last value
-to the one set now.</p>
+<p>Inputs: <code>v_request</code>, the requested speed, <code>grade</code> and <code>key_on</code>, all at the <em>end</em> of the
+communication step. To meet a trace exactly, set its next point before each step, or (FMI 2.0) its value at the start of the step
+together with the time derivative, which counts for that step only. In an FMI 3.0 master that sets inputs at the start of a step, such as
+FMPy, shift the trace: its first point, at the start time, is the value at the end of the first step. Within a communication step that is
+longer than the internal one, the requested speed moves straight from its last value to the one set now; grade and key are held.</p>
 <p>The model advances on a grid of internal steps of <code>step_size</code>, {step_size:g} s unless set before the initialization ends.
 Communication steps may have any length; shorter ones hold the outputs until the next internal step is due.</p>
 """
@@ -101,12 +100,14 @@ parameters can be set before the initialization ends.</p>
 """
 
 
-def _documentation(model: Model, cycle: CycleTable | None, step_size: float) -> str:
-    title = escape(model.title)
+def _documentation(step: Step, cycle: CycleTable | None, step_size: float) -> str:
+    title = escape(step.title)
     if cycle:
         body = _SELF_CONTAINED.format(name=escape(cycle.name), n=len(cycle.v_request), step_size=step_size)
     else:
         body = _DRIVEN.format(step_size=step_size)
     head = f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title></head><body>\n'
-    tail = "<p>All values are in SI units. <code>sources</code> holds the complete C99; the headers of the standard carry their own licence.</p>"
+    tail = (
+        "<p>All values are in SI units. <code>sources</code> holds the complete C99; the headers of the standard state their licence.</p>"
+    )
     return f"{head}<h1>{title}</h1>\n{body}{tail}\n</body></html>\n"

@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import Any
 
-from halfshaft.fmu_build.interface import CycleTable, Model, Variable, Version
+from halfshaft.fmu_build.variables import CycleTable, Variable, Version
 from halfshaft.library.errors import InputError
-
-if TYPE_CHECKING:
-    import pint
+from halfshaft.models.assembly import Step
 
 # Units that are nicer to read, as name and factor, by the unit that the FMU computes in.
 _DISPLAY = {"m/s": ("km/h", 3.6), "rad/s": ("rpm", 9.549296585513721)}
@@ -34,20 +32,20 @@ def timestamp() -> datetime:
 
 
 def model_description(
-    model: Model, table: Sequence[Variable], cycle: CycleTable | None, step_size: float, fmi: Version, token: str, source: str
+    step: Step, table: Sequence[Variable], cycle: CycleTable | None, step_size: float, fmi: Version, token: str, source: str
 ) -> bytes:
     """Return the text of modelDescription.xml; `source` is the C file to compile."""
     attributes = {
         "fmiVersion": f"{fmi}.0",
-        "modelName": f"{model.name}.{cycle.name}" if cycle else model.name,
-        "description": f"{model.title}, driven over {cycle.name}" if cycle else model.title,
+        "modelName": f"{step.name}.{cycle.name}" if cycle else step.name,
+        "description": f"{step.title}, driven over {cycle.name}" if cycle else step.title,
         {2: "guid", 3: "instantiationToken"}[fmi]: token,
         "generationTool": f"halfshaft {version('halfshaft')}",
         "generationDateAndTime": timestamp().strftime("%Y-%m-%dT%H:%M:%SZ"),
         "variableNamingConvention": "structured",
     }
     root = ET.Element("fmiModelDescription", attributes)
-    interface = ET.SubElement(root, "CoSimulation", _capabilities(model, cycle, step_size, fmi))
+    interface = ET.SubElement(root, "CoSimulation", _capabilities(step, cycle, step_size, fmi))
     if fmi == 2:
         ET.SubElement(ET.SubElement(interface, "SourceFiles"), "File", name=source)
     units = ET.SubElement(root, "UnitDefinitions")
@@ -64,19 +62,19 @@ def model_description(
     return _text(root)
 
 
-def build_description(model: Model, source: str) -> bytes:
+def build_description(step: Step, source: str) -> bytes:
     """Return the text of buildDescription.xml, which FMI 3.0 has."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model.name)
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=step.name)
     file_set = ET.SubElement(configuration, "SourceFileSet", language="C99")
     ET.SubElement(file_set, "SourceFile", name=source)
     ET.SubElement(configuration, "Library", name="m", external="true", description="mathematics of the C library")
     return _text(root)
 
 
-def _capabilities(model: Model, cycle: CycleTable | None, step_size: float, fmi: Version) -> dict[str, str]:
+def _capabilities(step: Step, cycle: CycleTable | None, step_size: float, fmi: Version) -> dict[str, str]:
     common = {
-        "modelIdentifier": model.name,
+        "modelIdentifier": step.name,
         "needsExecutionTool": "false",
         "canBeInstantiatedOnlyOncePerProcess": "false",
         "canHandleVariableCommunicationStepSize": "true",
@@ -98,8 +96,8 @@ def _capabilities(model: Model, cycle: CycleTable | None, step_size: float, fmi:
 
 
 @cache
-def _registry() -> pint.UnitRegistry[float]:
-    import pint  # noqa: PLC0415 - takes half a second
+def _registry() -> Any:
+    import pint  # takes half a second
 
     return pint.UnitRegistry()
 
@@ -110,8 +108,8 @@ def _unit(parent: ET.Element, unit: str) -> None:
         # Our units write products with a point: "J/(kg.K)".
         try:
             base = _registry().Quantity(1.0, unit.replace(".", "*")).to_base_units()
-            attributes = {_BASE[name]: str(int(exponent)) for name, exponent in base.unit_items() if int(exponent) == exponent}
-            if len(attributes) < len(dict(base.unit_items())):
+            attributes = {_BASE[name]: f"{exponent:.0f}" for name, exponent in base.unit_items() if exponent == round(exponent)}
+            if len(attributes) < len(base.unit_items()):
                 raise ValueError("an exponent is not a whole number")
         except Exception as error:  # pint has many
             raise InputError(f"unit '{unit}'", [f"is not made of SI units: {error}"]) from error
@@ -125,7 +123,8 @@ def _unit(parent: ET.Element, unit: str) -> None:
 
 
 def _variable(parent: ET.Element, v: Variable, reference: int, fmi: Version) -> None:
-    general = {"name": v.name, "valueReference": str(reference), "description": v.doc, "causality": v.causality, "variability": _VARIABILITY[v.causality]}
+    general = {"name": v.name, "valueReference": str(reference), "description": v.doc}
+    general |= {"causality": v.causality, "variability": _VARIABILITY[v.causality]}
     number = {"unit": v.unit}
     if v.unit in _DISPLAY:
         number["displayUnit"] = _DISPLAY[v.unit][0]

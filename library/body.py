@@ -125,7 +125,10 @@ class Body(Component):
         B = 2 * m / dt + drag.roll_1 * moving
         C = -2 * m * v / dt - ca.fmax(tyre.F, A_FLOOR * m) + drag.roll_0 * moving + drag.climb
         v_force = -2 * C / (B + ca.sqrt(B**2 - 4 * drag.aero * C))
-        v_mean = where(tyre.F >= -m, ca.fmin(v_force, tyre.v), ca.fmax(v_force, tyre.v))
+        # The driveline's speed bounds the speed from above, in hard braking from below.  The original tells braking by
+        # the force alone; a large inertia torque in a step without drive would then lift the speed.
+        braking = ca.logic_and(tyre.F < -m, v_request < v)
+        v_mean = where(braking, ca.fmax(v_force, tyre.v), ca.fmin(v_force, tyre.v))
         v_end = 2 * v_mean - v
         v_end = where(v_end >= 1e-9, v_end, 0)
         v_mean = (v + v_end) / 2

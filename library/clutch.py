@@ -18,7 +18,7 @@ from halfshaft.library.parameters import Parameters
 from halfshaft.library.ports import Expr, Port, Shaft
 
 #: Capacity of the engaged clutch over the engine's largest torque, and slip speed of the smooth friction law [rad/s].
-CAPACITY, OMEGA_SLIP = 2.0, 0.2
+CAPACITY, OMEGA_SLIP = 2.0, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,9 @@ class Clutch(TwoSided):
 
         def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
             parted = ca.logic_or(clutch_open, clutch_slipping)
-            return Shaft(passed(offered.tau), where(parted, asked.omega, offered.omega), asked.alpha)
+            # A clutch that slips at launch turns faster at the engine: it can only drive.
+            tau = where(clutch_slipping, ca.fmax(0, passed(offered.tau)), passed(offered.tau))
+            return Shaft(tau, where(parted, asked.omega, offered.omega), asked.alpha)
 
         return (Link(law, back),)
 

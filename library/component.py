@@ -5,7 +5,7 @@ its decorator; the assembler (`halfshaft.models`) finds the order.  An argument 
 
 * a port: what arrives there, the *required* point at a port toward the wheel, the *available* one at a port toward the source;
 * a state or memory of the component, at the start of the step;
-* a signal: a request (`v_request`, `grade`, `key_on`, `dt`), or a variable or state that one part publishes for all;
+* a signal: a request (`v_request`, `grade`, `key_on`, `dt`, `decided`), or a variable or state that one part publishes for all;
 * a private hand-over (leading underscore) from another face of the same component.
 
 A face gives ports, variables, signals, private hand-overs, and ``next_x`` for each of its states ``x``.
@@ -19,7 +19,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 import casadi as ca
 
@@ -30,6 +30,16 @@ Booking: TypeAlias = Literal["", "fuel", "stored", "loss", "kinetic", "potential
 
 #: Signal `turning`: tells of a speed whether something moves, as 0 or 1 in the step and smoothly in the forward-facing model.
 Turning: TypeAlias = Callable[[Any], Any]
+
+
+class Direction(Protocol):
+    """Signal `direction`: how a loss depends on whether a torque drives or brakes; smooth in the forward-facing model."""
+
+    def size(self, tau: Any) -> Any:
+        """Return the size of a torque."""
+
+    def loss(self, tau: Any, efficiency: Callable[[Any], Any]) -> Any:
+        """Return the torque lost behind an output torque: ``(1 - e) / e`` of it driving, ``1 - e`` braking."""
 
 
 class Variable(NamedTuple):
@@ -47,13 +57,18 @@ class Variable(NamedTuple):
 
 
 class State(NamedTuple):
-    """A state or memory of a component; ``signal`` publishes its value at the start of the step."""
+    """A state or memory of a component.
+
+    ``signal`` publishes its value at the start of the step; ``shown`` makes its end value an output; ``decision`` says
+    that it holds a control's decision: where the request ``decided`` is 1, the control keeps what stands there.
+    """
 
     name: str
     unit: str
     doc: str
     signal: bool = False
     shown: bool = False
+    decision: bool = False
 
 
 class Face(NamedTuple):

@@ -44,8 +44,8 @@ class ConventionalControl(Component):
     p: ConventionalControlParameters
     parameters = ConventionalControlParameters
     states = (
-        State("clutch_before", "1", "state of the clutch in the previous step"),
-        State("on_before", "1", "whether the engine was on in the previous step"),
+        State("clutch_before", "1", "state of the clutch in the previous step", decision=True),
+        State("on_before", "1", "whether the engine was on in the previous step", decision=True),
     )
     variables = (
         Variable("clutch_state", "1", "1 open, 2 slipping, 3 engaged", kind="count"),
@@ -70,17 +70,17 @@ class ConventionalControl(Component):
     @face("clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before")
     def control(
         self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, key_on: Expr, omega_launch: Expr,
-        engine: Engine, clutch_before: Expr, on_before: Expr,
+        engine: Engine, clutch_before: Expr, on_before: Expr, decided: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Decide on clutch and engine for this step."""
         p, asked = self.p, tau_clutch > 1e-3
         idle_open = ca.logic_and(ca.logic_not(asked), ca.logic_or(p.open_when_braking, omega_input_estimate < p.omega_idle))
-        is_open = ca.logic_or(shifting, idle_open)
+        is_open = where(decided, clutch_before == OPEN, ca.logic_or(shifting, idle_open))
         slipping = ca.logic_and(ca.logic_and(asked, omega_input_estimate < omega_launch), clutch_before < 2.5)
-        slipping = ca.logic_and(slipping, ca.logic_not(is_open))
+        slipping = where(decided, clutch_before == SLIPPING, ca.logic_and(slipping, ca.logic_not(is_open)))
         state = where(is_open, OPEN, where(slipping, SLIPPING, ENGAGED))
         on = ca.logic_and(key_on, ca.logic_or(p.idle_at_stop, ca.logic_not(is_open)))
-        on = ca.logic_or(on, ca.logic_and(shifting, on_before))
+        on = where(decided, on_before, ca.logic_or(on, ca.logic_and(shifting, on_before)))
         omega = clip(where(slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
         return {
             "clutch_state": state,

@@ -29,6 +29,8 @@ from halfshaft.library.tables import Axis, Table
 
 #: Time in which a governor of the forward-facing model would remove an error of speed [s].
 GOVERNOR_TIME = 0.05
+#: Fall below idling speed at which the idling governor opens the throttle fully [rad/s].
+GOVERNOR_BAND = 10.0
 
 SPEED, TORQUE = Axis("omega", "rad/s"), Axis("tau", "N.m")
 
@@ -64,7 +66,7 @@ class Engine(Component):
     )
     variables = (
         Variable("omega_engine", "rad/s", "speed of the engine", signal=True),
-        Variable("throttle", "1", "that torque between closed and open throttle", signal=True),
+        Variable("throttle_engine", "1", "that torque between closed and open throttle", signal=True),
         Variable("tau_map", "N.m", "torque in the fuel map (eq. 1)"),
         Variable("fuel_flow", "kg/s", "fuel flow (eq. 2)"),
         Variable("P_fuel", "W", "power in the fuel", "fuel"),
@@ -135,7 +137,7 @@ class Engine(Component):
         }
 
     @face(
-        "shaft", "throttle", "tau_map", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation", "P_mismatch", "next_fuel_used"
+        "shaft", "throttle_engine", "tau_map", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation", "P_mismatch", "next_fuel_used"
     )  # fmt: skip
     def available(
         self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr,
@@ -147,25 +149,27 @@ class Engine(Component):
         highest = self.tau_max(omega)
         tau_map = clip(where(driven, shaft.tau + _tau_inertia, closed), closed, highest)
         tau = where(clutch_open, shaft.tau, tau_map - _tau_inertia)
+        # Behind an open clutch the shaft is the engine's own, and carries the accessories only.
+        omega_shaft = where(clutch_open, omega, shaft.omega)
         flow = where(engine_on, self.fuel_flow(tau_map, omega), 0)
         P_fuel = flow * self.p.H_fuel
         kinetic = self.p.J * (omega**2 - omega_before**2) / (2 * dt)
         return {
-            "shaft": Shaft(tau, shaft.omega, shaft.alpha),
-            "throttle": (tau_map - closed) / (highest - closed),
+            "shaft": Shaft(tau, omega_shaft, shaft.alpha),
+            "throttle_engine": (tau_map - closed) / (highest - closed),
             "tau_map": tau_map,
             "fuel_flow": flow,
             "P_fuel": P_fuel,
             "P_loss": P_fuel - tau_map * omega,
             "P_kinetic": kinetic,
             "P_discretisation": _tau_inertia * omega - kinetic,
-            "P_mismatch": (tau_map - _tau_inertia) * omega - tau * shaft.omega,
+            "P_mismatch": (tau_map - _tau_inertia) * omega - tau * omega_shaft,
             "next_fuel_used": fuel_used + dt * flow,
         }
 
     @plant("der_omega_engine", "der_fuel_used", "tau_map", "P_fuel", "P_loss", "P_kinetic")
     def flow(
-        self, shaft: Shaft, omega_engine: Expr, throttle: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr, clutch_open: Expr,
+        self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr, clutch_open: Expr,
         turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the engine's motion in continuous time.
@@ -180,8 +184,8 @@ class Engine(Component):
             return clip(shaft.tau + J / GOVERNOR_TIME * (omega - omega_engine), closed, highest)
 
         by_throttle = ca.logic_and(geared, ca.logic_not(ca.logic_or(clutch_open, clutch_slipping)))
-        pedal = closed + throttle * (highest - closed)
-        pedal = ca.fmax(pedal, where(omega_engine < omega_idle, governed(omega_idle), closed))
+        idling = clip((omega_idle - omega_engine) / GOVERNOR_BAND, 0, 1)
+        pedal = closed + ca.fmax(throttle_engine, idling) * (highest - closed)
         tau = where(engine_on, where(by_throttle, pedal, governed(omega_command)), closed)
         flow = where(engine_on, self.fuel_flow(tau, omega_engine), 0)
         alpha = (tau - shaft.tau) / J

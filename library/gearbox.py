@@ -29,13 +29,17 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Link, State, Turning, TwoSided, Variable, clip, face, inertia, limit, where
+from halfshaft.library.component import Direction, Link, State, Turning, TwoSided, Variable, clip, face, inertia, limit, where
 from halfshaft.library.parameters import Parameters, param, params, table
 from halfshaft.library.ports import Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table
 
 #: Output speed [rad/s] below which the power of equation (2) fades to nothing, so that the torque stays finite.
 OMEGA_FLOOR = 0.2
+#: Output speed [rad/s] below which equation (3) reads the map here: at standstill the efficiency is zero whatever the loss is.
+OMEGA_LOOKUP = 1.0
+#: Lowest efficiency.  The maps are zero at standstill and at small braking torques, where no torque would ever pass.
+E_LOWEST = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,15 +111,16 @@ class _Gearbox(TwoSided):
         """Publish the offered input speed, from which the shift logic estimates the next one."""
         return {"omega_gearbox_input": input.omega}
 
-    def tau_loss(self, output: Shaft, G: Expr, gear: Expr) -> Expr:
+    def tau_loss(self, output: Shaft, G: Expr, gear: Expr, direction: Direction) -> Expr:
         """Return the loss torque at the input [N.m], not yet cut at standstill."""
         raise NotImplementedError
 
-    def chain(self, ratio: Expr, gear: Expr, turning: Turning, shifting: Expr = 0.0) -> tuple[Link, ...]:  # type: ignore[override]
+    def chain(self, ratio: Expr, gear: Expr, turning: Turning, direction: Direction, shifting: Expr = 0.0) -> tuple[Link, ...]:  # type: ignore[override]
         """Return equation (1)."""
 
         def law(load: Shaft) -> Shaft:
-            tau = load.tau / ratio + turning(load.omega) * self.tau_loss(load, ratio, gear)
+            loss = self.tau_loss(load, ratio, gear, direction)
+            tau = load.tau / ratio + turning(load.omega) * loss
             return Shaft(tau, load.omega * ratio, load.alpha * ratio)
 
         return (
@@ -138,10 +143,10 @@ class PolynomialGearbox(_Gearbox):
     p: PolynomialGearboxParameters
     parameters = PolynomialGearboxParameters
 
-    def tau_loss(self, output: Shaft, G: Expr, gear: Expr) -> Expr:
+    def tau_loss(self, output: Shaft, G: Expr, gear: Expr, direction: Direction) -> Expr:
         """Return equation (2) as a torque at the input [N.m]."""
         p = self.p
-        omega, tau = output.omega / p.speed_scale, ca.fabs(output.tau) / p.torque_scale
+        omega, tau = output.omega / p.speed_scale, direction.size(output.tau) / p.torque_scale
         P = (p.c1 * G + p.c2) * omega + (p.c3 / G + p.c4) * tau + p.c5 * tau * omega + p.c6
         return ca.fmax(0, P / (ca.fmax(omega, OMEGA_FLOOR) * G)) * p.torque_scale
 
@@ -153,10 +158,13 @@ class MapGearbox(_Gearbox):
     p: MapGearboxParameters
     parameters = MapGearboxParameters
 
-    def tau_loss(self, output: Shaft, G: Expr, gear: Expr) -> Expr:
-        """Return equation (3) [N.m]; where the map says zero, the whole output torque is lost once more."""
+    def tau_loss(self, output: Shaft, G: Expr, gear: Expr, direction: Direction) -> Expr:
+        """Return equation (3) [N.m]."""
         p = self.p
-        e = p.efficiency_scale * p.efficiency(output.omega / p.speed_scale, output.tau / p.torque_scale, gear)
-        e = clip(e, 0, 1)
-        driving = where(e > 2.22e-16, (1 - e) / where(e > 2.22e-16, e, 1), 1)
-        return ca.fabs(output.tau) / G * where(output.tau >= 0, driving, 1 - e)
+        omega = ca.fmax(output.omega, OMEGA_LOOKUP)
+
+        def efficiency(tau: Expr) -> Expr:
+            e = p.efficiency_scale * p.efficiency(omega / p.speed_scale, tau / p.torque_scale, gear)
+            return clip(e, E_LOWEST, 1)
+
+        return direction.loss(output.tau, efficiency) / G

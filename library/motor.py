@@ -63,7 +63,7 @@ class Motor(TwoSided):
     states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed"),)
     variables = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
-        Variable("throttle", "1", "that torque over the envelope, negative while braking", signal=True),
+        Variable("throttle_motor", "1", "that torque over the envelope, negative while braking", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
     )
     laws = ("tau_envelope", "motor")
@@ -129,7 +129,7 @@ class Motor(TwoSided):
         _, asked, sent = way[2]
         lowest, highest = self.limits(sent.omega)
         limit = where(sent.tau >= 0, ca.fmax(highest, 1e-9), ca.fmax(-lowest, 1e-9))
-        return {"next_omega_before": asked.omega, "throttle": clip(sent.tau / limit, -1, 1)}
+        return {"next_omega_before": asked.omega, "throttle_motor": clip(sent.tau / limit, -1, 1)}
 
     @plant("dc", "P_loss", "P_kinetic", "_tau", "_omega", "_P")
     def flow(self, shaft: Shaft, turning: Turning) -> Mapping[str, Any]:
@@ -140,7 +140,7 @@ class Motor(TwoSided):
         return {"dc": power, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"], "_tau": tau, "_omega": shaft.omega, "_P": power.P}
 
     @plant("balance")
-    def drive(self, _tau: Expr, _omega: Expr, _P: Expr, throttle: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr) -> Mapping[str, Any]:
+    def drive(self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr) -> Mapping[str, Any]:
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power or current end.
 
         The torque fades over the last half per cent below the top speed.
@@ -148,7 +148,7 @@ class Motor(TwoSided):
         lowest, highest = self.limits(_omega)
         top = self.p.omega_max * self.p.speed_scale
         fade = clip((top - _omega) / (0.005 * top), 0, 1)
-        tau = where(throttle >= 0, throttle * highest * fade, -throttle * lowest)
+        tau = where(throttle_motor >= 0, throttle_motor * highest * fade, -throttle_motor * lowest)
         scale = ca.fmax(ca.fabs(_omega), 10)
         P_max = self.p.I_max * U
         more = ca.fmin(P_room_out, P_max - _P) / scale

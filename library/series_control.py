@@ -21,6 +21,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 from halfshaft.library.component import Component, State, Variable, clip, face, where
 from halfshaft.library.engine import Engine, EngineParameters
@@ -158,34 +159,39 @@ class SeriesControl(Component):
         }
 
 
-def genset_locus(engine: EngineParameters, generator: GeneratorParameters, steps: int = 10) -> Table:
+def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: int = 11) -> Table:
     """Return the genset speed of least fuel over engine power, for engine scales of 1.
 
-    For each of `steps` equal parts of the power range every whole-numbered speed is tried; the cost is the engine's
-    fuel per work over the generator's efficiency, and a point outside either envelope is never taken while one inside
-    exists (``spec`` of the original: a penalty of 10 000 g/kWh).
+    Fuel per work and generator efficiency are put on a grid of ``n`` by ``n`` points that both machines cover.  For each
+    of ``n - 1`` equal parts of the power range every whole-numbered speed is tried; the cost is the engine's fuel per
+    work over the generator's efficiency, plus 10 000 g/kWh outside of either envelope.
     """
-    omega_engine, tau_engine = engine.tau_max.points[0], engine.fuel.points[1]
-    power_points = omega_engine * engine.tau_max.values
-    P_top, omega_top = float(power_points.max()), float(omega_engine[power_points.argmax()])
-    omega_low, tau_low = float(omega_engine[0]), float(tau_engine[0])
-    P_low = omega_low * tau_low
-    speeds = np.arange(np.ceil(omega_low), np.floor(omega_engine[-1]) + 1)
+    omega_engine, tau_engine = engine.fuel.points
+    omega_generator = generator.P_electric.points[0] * generator.speed_scale
+    tau_generator = generator.P_electric.points[1] * generator.torque_scale
+    driving = tau_engine > 0
+    omega = np.linspace(max(omega_engine[0], omega_generator[0]), min(omega_engine[-1], omega_generator[-1]), n)
+    tau = np.linspace(max(tau_engine[driving][0], tau_generator[0]), min(tau_engine[-1], tau_generator[-1]), n)
+    grid = np.stack(np.meshgrid(omega, tau, indexing="ij"), axis=-1)
 
-    def bilinear(t: Table, omega: float, tau: float) -> float:
-        return float(t(float(np.clip(omega, *t.inside(0))), float(np.clip(tau, *t.inside(1)))))
+    per_work = 3.6e9 * engine.fuel.values[:, driving] / np.outer(omega_engine, tau_engine[driving])
+    per_work = RegularGridInterpolator((omega_engine, tau_engine[driving]), per_work)(grid)
+    scale = generator.speed_scale * generator.torque_scale
+    electric = RegularGridInterpolator((omega_generator, tau_generator), scale * generator.P_electric.values)(grid)
+    efficiency = electric / np.outer(omega, tau)
+    envelope_engine = np.interp(omega, engine.tau_max.points[0], engine.tau_max.values)
+    envelope_generator = generator.overtorque * generator.torque_scale * generator.tau_max.values
+    envelope_generator = np.interp(omega, generator.tau_max.points[0] * generator.speed_scale, envelope_generator)
 
-    P_points, omega_points = [P_low], [omega_low]
-    for P in P_low + (P_top - P_low) * np.arange(1, steps) / steps:
-        costs = []
-        for omega in speeds:
-            tau = float(np.clip(P / omega, tau_engine[0], tau_engine[-1]))
-            over = tau > np.interp(omega, omega_engine, engine.tau_max.values)
-            omega_g, tau_g = omega / generator.speed_scale, tau / generator.torque_scale
-            over |= tau_g > np.interp(omega_g, generator.tau_max.points[0], generator.overtorque * generator.tau_max.values)
-            electric = generator.speed_scale * generator.torque_scale * bilinear(generator.P_electric, omega_g, tau_g)
-            per_work = bilinear(engine.fuel, omega, tau) * 3.6e9 / (tau * omega)
-            costs.append(per_work / max(electric / (tau * omega), 1e-6) + 10000 * over)
-        P_points.append(float(P))
-        omega_points.append(float(speeds[int(np.argmin(costs))]))
-    return Table.of([*P_points, P_top], values=[*omega_points, omega_top])
+    power = engine.tau_max.points[0] * engine.tau_max.values
+    P_low, P_top = omega_engine[0] * tau_engine[driving][0], power.max()
+    speeds = np.arange(np.ceil(omega[0]), np.floor(omega[-1]) + 1)
+    P_points, omega_points = [P_low], [omega_engine[0]]
+    for P in P_low + (P_top - P_low) * np.arange(1, n - 1) / (n - 1):
+        torques = np.clip(P / speeds, tau[0], tau[-1])
+        points = np.stack([speeds, torques], axis=-1)
+        over = (torques > np.interp(speeds, omega, envelope_engine)) | (torques > np.interp(speeds, omega, envelope_generator))
+        cost = RegularGridInterpolator((omega, tau), per_work)(points) / RegularGridInterpolator((omega, tau), efficiency)(points)
+        P_points.append(P)
+        omega_points.append(speeds[np.argmin(cost + 10000 * over)])
+    return Table.of([*P_points, P_top], values=[*omega_points, engine.tau_max.points[0][power.argmax()]])

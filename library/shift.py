@@ -34,6 +34,7 @@ class ShiftParameters(Parameters):
     up: Table = table("1", "load below which to shift up", SPEED, GEAR, clip=False)
     down: Table = table("1", "load above which to shift down", SPEED, GEAR, clip=False)
     t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0)
+    t_hold: float = param("s", "shortest time between two changes of gear", 0.0, ge=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,10 +63,10 @@ class Shift(Component):
     p: ShiftParameters
     parameters = ShiftParameters
     states = (
-        State("gear_before", "1", "gear of the previous step"),
-        State("gear_before_2", "1", "gear two steps ago"),
-        State("gear_before_3", "1", "gear three steps ago"),
-        State("t_since_shift", "s", "time since the last change of gear"),
+        State("gear_before", "1", "gear of the previous step", decision=True),
+        State("gear_before_2", "1", "gear two steps ago", decision=True),
+        State("gear_before_3", "1", "gear three steps ago", decision=True),
+        State("t_since_shift", "s", "time since the last change of gear", decision=True),
         State("omega_estimate", "rad/s", "input speed at the end of the previous step, as achieved"),
     )
     variables = (
@@ -91,7 +92,7 @@ class Shift(Component):
     def control(
         self, tau_gearbox: Expr, omega_gearbox: Expr, slip_limited: Expr, trace_missed: Expr, torque_ratio: Expr,
         ratios: tuple[Expr, ...], tau_envelope: Callable[[Expr], Expr], dt: Expr,
-        gear_before: Expr, gear_before_2: Expr, gear_before_3: Expr, t_since_shift: Expr, omega_estimate: Expr,
+        gear_before: Expr, gear_before_2: Expr, gear_before_3: Expr, t_since_shift: Expr, omega_estimate: Expr, decided: Expr,
         tau_accessory_before: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Choose the gear for this step."""
@@ -101,10 +102,12 @@ class Shift(Component):
         tau = tau_gearbox / (clip(torque_ratio, 0.2, 1) * ratio_before) + tau_accessory_before
         load = where(slip_limited, 1, clip(tau / ca.fmax(tau_envelope(omega), 1e-9), 0, 1))
         raised = ca.logic_or(gear_before > gear_before_2, gear_before > gear_before_3)
-        up = load < self.p.up(omega, gear_before)
-        down = ca.logic_and(load > self.p.down(omega, gear_before), ca.logic_not(raised))
-        gear = clip(gear_before + where(up, 1, where(down, -1, 0)), 1, len(ratios))
-        since = where(gear != gear_before, 0, t_since_shift + dt)
+        free = t_since_shift >= self.p.t_hold - 1e-6
+        up = ca.logic_and(free, load < self.p.up(omega, gear_before))
+        down = ca.logic_and(ca.logic_and(free, load > self.p.down(omega, gear_before)), ca.logic_not(raised))
+        change = where(decided, 0, where(up, 1, where(down, -1, 0)))
+        gear = clip(gear_before + change, 1, len(ratios))
+        since = where(decided, t_since_shift, where(gear != gear_before, 0, t_since_shift + dt))
         return {
             "gear": gear,
             "ratio": self.ratio_of(gear, ratios),

@@ -86,6 +86,11 @@ class Table:
         return float(self.points[axis][0]), float(self.points[axis][-1])
 
     @cached_property
+    def key(self) -> tuple[Any, ...]:
+        """What makes two tables the same."""
+        return (*(p.tobytes() for p in self.points), self.values.tobytes(), self.clip)
+
+    @cached_property
     def interpolant(self) -> ca.Function:
         """The table as a function on the virtual machine; needs no compiler."""
         x = ca.MX.sym("x", len(self.points))

@@ -45,12 +45,26 @@ REQUESTED = (
     Description("grade", "1", "slope of the road, rise over run"),
     Description("key_on", "1", "whether the key is on", "flag", 1.0),
     Description("dt", "s", "length of the step", "real", 1.0),
+    Description("decided", "1", "whether the controls keep the decisions that stand in the state", "flag", 0.0),
 )
 
 
 def step_turning(speed: Any) -> Any:
     """Tell whether something moves: 0 or 1, as the paper's method has it."""
     return speed > 0
+
+
+class StepDirection:
+    """Driving and braking as two cases."""
+
+    def size(self, tau: Any) -> Any:
+        """Return the size of a torque."""
+        return ca.fabs(tau)
+
+    def loss(self, tau: Any, efficiency: Callable[[Any], Any]) -> Any:
+        """Return the torque lost behind an output torque."""
+        e = efficiency(tau)
+        return ca.fabs(tau) * (1 - e) * ca.if_else(tau >= 0, 1 / e, 1)
 
 
 @dataclass(frozen=True)
@@ -101,6 +115,8 @@ class Step:
     parameters: tuple[Description, ...]
     outputs: tuple[Description, ...]
     tables: Mapping[str, Table]
+    #: Positions of the states that hold decisions of the controls.
+    decisions: tuple[int, ...]
 
     @cached_property
     def output_index(self) -> dict[str, int]:
@@ -169,7 +185,7 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
     state = ca.vertcat(*known.values()) if known else ca.SX(0, 1)
     request = {d.name: ca.SX.sym(d.name) for d in REQUESTED}
     known |= {("request", "", name): symbol for name, symbol in request.items()}
-    known["law of the model", "", "turning"] = step_turning
+    known |= {("law of the model", "", "turning"): step_turning, ("law of the model", "", "direction"): StepDirection()}
 
     values = wiring.evaluate(known)
     following = ca.vertcat(*(values["next", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
@@ -191,4 +207,5 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
         symbols.descriptions,
         tuple(o[0] for o in outputs),
         named,
+        tuple(i for i, s in enumerate(s for part in symbols.parts.values() for s in part.states) if s.decision),
     )  # fmt: skip

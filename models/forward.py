@@ -10,13 +10,13 @@ so ``a`` is implicit and stays so.  There is one speed state for all that turns 
 engine.  The controls are those of the step, unchanged: they are sampled, and what the system reads of them is held
 between samples (`Plant.held`).
 
-Two things are smooth here that are switches in the step, over `V_SMOOTH`: whether something moves, and the sign of the
-friction brakes' force.  The slip's rate is neglected, as in the paper (its effect on 0-100 km/h is 0.1 %).
+Smooth here are two things that are switches in the step: whether something moves (over `V_SMOOTH`; the friction brakes
+fade with it), and whether a gearbox drives or brakes (over `TAU_SMOOTH`).  The slip's rate is neglected, as in the paper (its effect on 0-100 km/h is 0.1 %).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,11 @@ from halfshaft.models.wiring import Key, Wiring
 #: Speed over which motion sets in [m/s or rad/s].
 V_SMOOTH = 0.05
 
+#: Torque over which a gearbox's law for driving takes over from that for braking [N.m].
+TAU_SMOOTH = 3.0
+#: Torque below which a gearbox's efficiency is no longer read from its map [N.m].
+TAU_LOOKUP = 10.0
+
 #: What the paper's discrete method needs of the previous step has no meaning in continuous time.
 NEUTRAL = {"trace_missed": 0.0, "speed_ratio": 1.0, "U_supply": 0.0, "omega_before": 0.0}
 
@@ -38,6 +43,26 @@ NEUTRAL = {"trace_missed": 0.0, "speed_ratio": 1.0, "U_supply": 0.0, "omega_befo
 def plant_turning(speed: Any) -> Any:
     """Tell whether something moves, smoothly."""
     return ca.tanh(speed / V_SMOOTH)
+
+
+class PlantDirection:
+    """Driving and braking, one going over into the other.
+
+    An efficiency says nothing where no torque flows: maps fall to zero there.  It is read at `TAU_LOOKUP` at least.
+    """
+
+    def _driving(self, tau: Any) -> Any:
+        return 0.5 * (1 + ca.tanh(tau / TAU_SMOOTH))
+
+    def size(self, tau: Any) -> Any:
+        """Return the size of a torque."""
+        return tau * (2 * self._driving(tau) - 1)
+
+    def loss(self, tau: Any, efficiency: Callable[[Any], Any]) -> Any:
+        """Return the torque lost behind an output torque."""
+        driving, lookup = self._driving(tau), ca.sqrt(tau**2 + TAU_LOOKUP**2)
+        ahead, back = efficiency(lookup), efficiency(-lookup)
+        return self.size(tau) * (driving * (1 - ahead) / ahead + (1 - driving) * (1 - back))
 
 
 class PlantWiring(Wiring):
@@ -108,6 +133,7 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
     held = {f"{key[1]}.{key[2]}": ca.SX.sym(name) for name, key in wiring.held.items()}
     known |= {key: held[f"{key[1]}.{key[2]}"] for key in wiring.held.values()}
     known |= {("algebraic", "", "a"): a, ("request", "", "grade"): grade, ("request", "", "key_on"): key_on, ("law of the model", "", "turning"): plant_turning}
+    known["law of the model", "", "direction"] = PlantDirection()
 
     values = wiring.evaluate(known)
     balance = [value for key, value in values.items() if key[0] == "balance"]

@@ -19,8 +19,8 @@ from halfshaft.models.model import Model
 #: Where a value lives: what it is, the part that it belongs to (empty for the model's own), its name.
 Key = tuple[str, str, str]
 
-REQUESTS = ("v_request", "grade", "key_on", "dt")
-LAWS = ("turning",)
+REQUESTS = ("v_request", "grade", "key_on", "dt", "decided")
+LAWS = ("turning", "direction")
 
 
 @dataclass(frozen=True)

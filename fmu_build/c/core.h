@@ -24,7 +24,9 @@ typedef struct {
 /* Value references; the rest of the table is outputs. */
 enum { TIME, REQUEST, GRADE, KEY_ON, STEP_SIZE, PARAMETERS, OUTPUTS = PARAMETERS + HS_NP, N_VARIABLES = OUTPUTS + HS_NY };
 
-enum { OK = 0, ERROR = 3 }; /* the same numbers in both versions of the standard */
+/* The same numbers in both versions of the standard. */
+#define OK 0
+#define ERROR 3
 
 typedef enum { INSTANTIATED = 1, INITIALIZING = 2, STEPPING = 4, TERMINATED = 8, FAILED = 16 } Mode;
 enum { BEFORE_STEPPING = INSTANTIATED | INITIALIZING };
@@ -35,9 +37,11 @@ enum { BEFORE_STEPPING = INSTANTIATED | INITIALIZING };
 /* All that the past decides; saved and restored as one block. */
 typedef struct {
   int64_t steps;         /* internal steps done */
-  int32_t mode, sloped;  /* sloped: whether `slope` was given for the next communication step */
+  int32_t mode;
+  int32_t sloped;        /* bit r: the input with reference r was given a time derivative for the next communication step */
+  double slope[STEP_SIZE];
   double start_time;
-  double request, slope; /* requested speed at the end of the last communication step, and its derivative in the next */
+  double request;        /* requested speed at the end of the last communication step */
   double x[HS_NX];
   double value[N_VARIABLES];
 } Memory;
@@ -192,9 +196,9 @@ static int get(Instance *c, const uint32_t reference[], size_t n, double value[]
 /* Return why a variable cannot be set now, or null. */
 static const char *refusal(const Memory *m, uint32_t reference, double value) {
   const Variable *variable = &hs_variables[reference];
-  int input = HS_DRIVEN && reference >= REQUEST && reference <= KEY_ON;
+  int driven = HS_DRIVEN && reference >= REQUEST && reference <= KEY_ON;
   int parameter = (HS_DRIVEN && reference == STEP_SIZE) || (reference >= PARAMETERS && reference < OUTPUTS);
-  if (!input && !parameter) return "is neither an input nor a parameter";
+  if (!driven && !parameter) return "is neither an input nor a parameter";
   if (parameter && !(m->mode & BEFORE_STEPPING)) return "is a fixed parameter, which can be set only before the initialization ends";
   if (!(m->mode & (BEFORE_STEPPING | STEPPING))) return "can no longer be set";
   if (!isfinite(value)) return "must be a finite number";
@@ -215,20 +219,21 @@ static int set(Instance *c, const uint32_t reference[], size_t n, const double v
   }
   for (size_t i = 0; i < n; ++i) {
     c->memory.value[reference[i]] = value[i];
-    if (reference[i] == REQUEST) c->memory.sloped = 0;
+    if (reference[i] < STEP_SIZE) c->memory.sloped &= ~(1 << reference[i]);
   }
   return OK;
 }
 
 #if HS_DRIVEN
 
-/* Requested speed at `time`, which lies in the communication step from t to t + h.  Without a derivative the request
-   moves straight from its value before the step to the one set now; the end is met to the last bit. */
-static double requested(const Memory *m, double time, double t, double h) {
-  double now = m->value[REQUEST];
-  double from = m->sloped ? now : m->request, to = m->sloped ? now + m->slope * h : now;
-  if (time >= t + h - TOLERANCE * m->value[STEP_SIZE]) return to;
-  return time <= t ? from : from + (to - from) * (time - t) / h;
+/* Input at `time`, which lies in the communication step from t to t + h.  With a derivative it follows that.  Without,
+   the requested speed moves straight from its value before the step to the one set now, and the others are held; the
+   value set now is met to the last bit at the end. */
+static double input(const Memory *m, int reference, double time, double t, double h) {
+  double now = m->value[reference];
+  double part = time >= t + h - TOLERANCE * m->value[STEP_SIZE] ? h : time > t ? time - t : 0;
+  if (m->sloped & 1 << reference) return now + m->slope[reference] * part;
+  return reference != REQUEST || part == h ? now : m->request + (now - m->request) * part / h;
 }
 
 #else
@@ -270,16 +275,14 @@ static int do_step(Instance *c, double t, double h, const char *function) {
     return ERROR;
   }
   while ((double)m->steps < due) {
-    double next[HS_NX], u[HS_NU];
+    double next[HS_NX], u[HS_NU] = {0};
     double end = m->start_time + (double)(m->steps + 1) * length;
 #if HS_DRIVEN
-    u[0] = requested(m, end, t, h);
+    for (int i = REQUEST; i <= KEY_ON; ++i) u[i - REQUEST] = input(m, i, end, t, h);
 #else
     read_cycle(m);
-    u[0] = m->value[REQUEST];
+    memcpy(u, m->value + REQUEST, 3 * sizeof *u);
 #endif
-    u[1] = m->value[GRADE];
-    u[2] = m->value[KEY_ON];
     u[3] = length;
     if (hs_step(m->x, u, m->value + PARAMETERS, next, m->value + OUTPUTS)) {
       report(c, "a result of the internal step that ends at %.15g s is not a number; check inputs and parameters", end);
@@ -290,7 +293,7 @@ static int do_step(Instance *c, double t, double h, const char *function) {
     ++m->steps;
   }
 #if HS_DRIVEN
-  m->request = requested(m, t + h, t, h);
+  m->request = input(m, REQUEST, t + h, t, h);
   m->sloped = 0;
 #endif
   m->value[TIME] = t + h;

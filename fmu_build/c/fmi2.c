@@ -60,7 +60,7 @@ NO_VARIABLES(Integer)
 NO_VARIABLES(Boolean)
 NO_VARIABLES(String)
 
-/* The derivative of the requested speed counts for the next communication step; those of the other inputs are held. */
+/* Derivatives count for the next communication step. */
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
                                        const fmi2Real value[]) {
   Instance *instance = c;
@@ -72,10 +72,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     }
   }
   for (size_t i = 0; i < n; ++i) {
-    if (vr[i] == REQUEST) {
-      instance->memory.slope = value[i];
-      instance->memory.sloped = 1;
-    }
+    instance->memory.slope[vr[i]] = value[i];
+    instance->memory.sloped |= 1 << vr[i];
   }
   return OK;
 }

@@ -1,7 +1,5 @@
-"""Vehicle powertrains: required quantities from the road to the source, available ones back, from one set of equations."""
+"""Vehicle powertrains: equation-based models that run backward, forward and as FMUs."""
 
 from importlib.metadata import version
-
-__all__ = ["__version__"]
 
 __version__ = version("halfshaft")

@@ -6,7 +6,6 @@ import warnings
 
 import pytest
 
-import halfshaft
 from halfshaft.fmu_build import compiler
 from halfshaft.fmu_build.compiler import SlowWarning, find_compiler, shared_library
 from halfshaft.library.errors import CompileError
@@ -86,9 +85,7 @@ def test_unwritable_cache_warns_once_and_works(monkeypatch, tmp_path):
 
 def test_two_processes_fill_the_cache_at_once(cache):
     code = f"from halfshaft.fmu_build.compiler import shared_library; print(shared_library({SOURCE!r}, 'twice', {HEADERS!r}))"
-    root = os.path.dirname(os.path.dirname(halfshaft.__file__))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
-    runs = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) for _ in range(4)]
+    runs = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(4)]
     libraries = {run.communicate()[0].strip() for run in runs}
     assert all(run.returncode == 0 for run in runs)
     assert len(libraries) == 1

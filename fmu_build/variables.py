@@ -1,14 +1,14 @@
-"""What an FMU is made from, and the list of variables that its C and its XML share."""
+"""The variables of an FMU, one list for its C and its XML, and the cycle that can be part of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from halfshaft.library.errors import InputError
+from halfshaft.models.assembly import Step
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Version: TypeAlias = Literal[2, 3]
@@ -19,42 +19,6 @@ SHORTEST_STEP = 1e-6
 SPEED, DISTANCE = "body.v", "body.distance"
 #: Parameter that the start speed of a cycle replaces.
 START_SPEED = "body.v_start"
-
-
-class Described(Protocol):
-    """Description of one element of a vector, as `halfshaft.models.assembly.Description`."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def doc(self) -> str: ...
-    @property
-    def start(self) -> float: ...
-    @property
-    def lowest(self) -> float | None: ...
-    @property
-    def highest(self) -> float | None: ...
-    @property
-    def state(self) -> int | None: ...
-
-
-class Model(Protocol):
-    """Name and vectors of a step, as `halfshaft.models.assembly.Step`; requests are speed, grade, key, step length."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def title(self) -> str: ...
-    @property
-    def states(self) -> Sequence[Described]: ...
-    @property
-    def requests(self) -> Sequence[Described]: ...
-    @property
-    def parameters(self) -> Sequence[Described]: ...
-    @property
-    def outputs(self) -> Sequence[Described]: ...
 
 
 class CycleTable(NamedTuple):
@@ -81,9 +45,9 @@ class Variable(NamedTuple):
     state: int | None = None
 
 
-def variables(model: Model, step_size: float, cycle: CycleTable | None) -> list[Variable]:
+def variables(step: Step, step_size: float, cycle: CycleTable | None) -> list[Variable]:
     """Return all variables: time, requests, step size, parameters, outputs."""
-    speed, grade, key_on, _ = model.requests
+    speed, grade, key_on, _ = step.requests
     requests = [(r, r.start) for r in (speed, grade, key_on)]
     if cycle:
         requests = [(speed, cycle.v_start), (grade, float(cycle.grade[0])), (key_on, float(cycle.key_on[0]))]
@@ -94,13 +58,13 @@ def variables(model: Model, step_size: float, cycle: CycleTable | None) -> list[
         Variable(*length, "local", step_size) if cycle else Variable(*length, "parameter", step_size, SHORTEST_STEP),
         *(
             Variable(p.name, p.unit, p.doc, "parameter", cycle.v_start if cycle and p.name == START_SPEED else p.start, p.lowest, p.highest)
-            for p in model.parameters
+            for p in step.parameters
         ),
-        *(Variable(y.name, y.unit, y.doc, "output", 0.0, state=y.state) for y in model.outputs),
+        *(Variable(y.name, y.unit, y.doc, "output", 0.0, state=y.state) for y in step.outputs),
     ]
 
 
-def check(model: Model, step_size: float, cycle: CycleTable | None) -> None:
+def check(step: Step, step_size: float, cycle: CycleTable | None) -> None:
     """Refuse a cycle or a step size that no FMU can be made from.
 
     Raises
@@ -116,13 +80,13 @@ def check(model: Model, step_size: float, cycle: CycleTable | None) -> None:
             problems.append("v_request, grade and key_on must be rows of the same length, at least 1")
         if not all(np.all(np.isfinite(row)) for row in (*rows, cycle.v_start, *(cycle.grade_distance or ()))):
             problems.append("not all numbers of the cycle are finite")
-        if cycle.v_start and START_SPEED not in [p.name for p in model.parameters]:
+        if cycle.v_start and START_SPEED not in [p.name for p in step.parameters]:
             problems.append(f"v_start = {cycle.v_start:g} m/s, but the model has no parameter {START_SPEED}")
         if cycle.grade_distance:
             distance, grade = cycle.grade_distance
             if np.shape(distance) != np.shape(grade) or not len(distance) or np.any(np.diff(distance) <= 0):
                 problems.append("grade_distance needs rising distances and one grade for each")
-            if DISTANCE not in [x.name for x in model.states]:
+            if DISTANCE not in [x.name for x in step.states]:
                 problems.append(f"grade_distance is given, but the model has no state {DISTANCE}")
     if problems:
-        raise InputError(f"FMU of {model.name}", problems)
+        raise InputError(f"FMU of {step.name}", problems)

@@ -1,0 +1,140 @@
+"""Runs the forward-facing model: a driver, the sampled controls, and IDAS between the samples.
+
+At each sample the driver, a PI on speed with the trace's acceleration fed forward, asks for an acceleration; the step
+itself, fed with the plant's state, is the controller that turns it into throttle, brakes, gear, clutch and engine
+commands; these are held while IDAS integrates the plant to the next sample.  The integral of the driver rests while the
+request is out of reach (anti-windup).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from halfshaft.cosim.compiled import Array, Stepper, stepper
+from halfshaft.cosim.cycle import Samples
+from halfshaft.fmu_build.code import compiled_tables
+from halfshaft.library.errors import CompileError, SolveError
+from halfshaft.library.tables import interpolants
+from halfshaft.models.assembly import all_tables
+from halfshaft.models.forward import Plant, assemble_plant
+from halfshaft.models.model import Model
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Gains of the PI on speed."""
+
+    k_p: float = 2.0
+    k_i: float = 0.4
+    #: Time between samples of driver and controls [s].
+    dt: float = 0.1
+    #: Shortest time that a shift keeps the clutch open [s]; the hybrid model may shift in no time, a plant cannot.
+    t_shift: float = 0.2
+    #: Shortest time between two shifts [s]; the step's rule, none downward for two steps, is as long at steps of 1 s.
+    t_hold: float = 2.0
+
+
+@dataclass(frozen=True)
+class ForwardRun:
+    """Shown variables at the samples, integrals of the booked powers, and the last state."""
+
+    time: Array
+    history: Array
+    energies: dict[str, float]
+    state: Array
+
+
+class Forward:
+    """The forward-facing model of a vehicle, ready to run."""
+
+    def __init__(self, model: Model, title: str = "", reltol: float = 1e-8, driver: Driver = Driver()) -> None:  # noqa: B008
+        self.stepper: Stepper = stepper(model, title)
+        self.driver = driver
+        tables = all_tables(model)
+        try:
+            functions = compiled_tables(tables)
+        except CompileError:
+            functions = interpolants(tables)
+        self.plant: Plant = assemble_plant(model, self.stepper.step, functions)
+        options = {"reltol": reltol, "abstol": reltol, "calc_ic": True, "suppress_algebraic": True, "max_num_steps": 100000}
+        self._advance = ca.integrator("advance", "idas", dict(self.plant.dae), 0, driver.dt, options)
+        dae = self.plant.dae
+        self._balance = ca.Function("balance", [dae["z"], dae["x"], dae["p"]], [dae["alg"]])
+
+    def run(self, samples: Samples, parameters: Array) -> ForwardRun:
+        """Drive over `samples` of the trace, which must be spaced by the driver's ``dt``.
+
+        Raises
+        ------
+        SolveError
+            If the integrator cannot go on; the message tells where.
+
+        """
+        step, plant, driver = self.stepper.step, self.plant, self.driver
+        parameters = np.array(parameters, dtype=float)
+        for name, least in (("shift.t_shift", driver.t_shift), ("shift.t_hold", driver.t_hold)):
+            if name in step.parameter_index:
+                i = step.parameter_index[name]
+                parameters[i] = max(parameters[i], least)
+        memory = self.stepper.first(parameters)
+        places = np.array([step.state_index[m] for m in plant.memories])
+        missed = step.state_index["body.trace_missed"]
+        held_at = np.array([step.output_index[name] for name in plant.held])
+        miss = step.output_index["body.trace_miss"]
+        distance = [d.name for d in plant.states].index("body.distance")
+        elevation = [d.name for d in plant.states].index("body.elevation")
+
+        x, a, integral = memory[places].copy(), 0.0, 0.0
+        x_start = x.copy()
+        v_before, n = samples.v_start, len(samples.t)
+        quads = np.zeros(len(plant.booked))
+        rows = np.empty((n, len(plant.shown)))
+        for k in range(n):
+            dt = samples.dt[k]
+            error = v_before - x[0]
+            a_asked = (samples.v[k] - v_before) / dt + driver.k_p * error + driver.k_i * integral
+            grade = np.interp(x[distance], *samples.grade_by_distance) if samples.grade_by_distance else samples.grade[k]
+            memory[places], memory[missed] = x, 0.0
+            # Standing for a stop, the driver keeps the foot on the brake.
+            asked = 0.0 if samples.v[k] == 0 and x[0] < 0.05 else max(0.0, x[0] + a_asked * dt)
+            memory, outputs = self.stepper(memory, np.array([asked, grade, samples.key_on[k], dt, 0.0]), parameters)
+            if abs(outputs[miss]) < 1e-6 and samples.v[k] > 0:
+                integral += error * dt
+            elif samples.v[k] == 0:
+                integral = 0.0
+            p = np.concatenate([outputs[held_at], [grade, samples.key_on[k]], parameters])
+            x, a, gained = self._interval(x, a, p, samples.t[k] - dt)
+            quads += gained
+            rows[k] = np.array(self.plant.outputs(x, a, p)).ravel()
+            v_before = samples.v[k]
+        energies = {d.name: float(q) for d, q in zip(plant.booked, quads, strict=True)}
+        m, g = (parameters[step.parameter_index[f"body.{name}"]] for name in ("m", "g"))
+        # The states know these better than the integrals of their rates do.
+        energies["body.P_kinetic"] = 0.5 * m * (x[0] ** 2 - x_start[0] ** 2)
+        energies["body.P_climb"] = m * g * (x[elevation] - x_start[elevation])
+        return ForwardRun(samples.t, rows, energies, x)
+
+    def _interval(self, x: Array, a: float, p: Array, t: float) -> tuple[Array, float, Array]:
+        """Integrate to the next sample with held commands."""
+        message = ""
+        for guess in (a, None):
+            try:
+                z = self._acceleration(x, p) if guess is None else guess
+                r = self._advance(x0=x, z0=z, p=p)
+                return np.array(r["xf"]).ravel(), float(r["zf"]), np.array(r["qf"]).ravel()
+            except RuntimeError as error:
+                message = str(error).splitlines()[-1]
+        raise SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[0]:g} m/s: {message}")
+
+    def _acceleration(self, x: Array, p: Array) -> float:
+        """Return the acceleration that balances the commands, by bisection: the balance falls with it."""
+        low, high = -50.0, 50.0
+        for _ in range(80):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if float(self._balance(middle, x, p)) > 0 else (low, middle)
+        return 0.5 * (low + high)
+
+

@@ -1,0 +1,319 @@
+"""Component files: TOML texts with units and provenance, read into parameter sets.
+
+A file holds ``schema``, ``kind``, ``name``, ``title``, ``source`` and a table ``parameters``.  There, a number is written
+with its unit (``"0.047 kg m^2"``; a plain number where there is none), a row as a list or as ``{unit, values}``, and a map
+as a table with one entry per axis and ``values``, the first axis counting the lines.  Nothing in a file is executed.  A
+file that is not right gives one `InputError` with every problem; places in lists count from 1.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import cache, cached_property
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pint
+
+from halfshaft.library.catalog import KINDS
+from halfshaft.library.component import Component
+from halfshaft.library.errors import InputError, nearest
+from halfshaft.library.parameters import Parameters, Spec, spec_of
+from halfshaft.library.tables import Table
+
+SCHEMA = 1
+#: What a unit measures, for messages.
+QUANTITIES = {
+    "A": "a current", "C": "a charge", "J/(kg.K)": "a specific heat", "J/kg": "a heating value", "K": "a temperature",
+    "K/W": "a thermal resistance", "N": "a force", "N.m": "a torque", "V": "a voltage", "W": "a power", "W/s": "a rate of power",
+    "kg": "a mass", "kg.m^2": "an inertia", "kg/m^3": "a density", "kg/s": "a mass flow", "m": "a length", "m/s": "a speed",
+    "m/s^2": "an acceleration", "m^2": "an area", "ohm": "a resistance", "rad/s": "an angular speed", "s": "a time",
+}  # fmt: skip
+_TYPES = {int: "a whole number", str: "a text", dict: "a table"}
+#: At most so many bad entries of one list are named.
+NAMED = 5
+
+_NUMBER = re.compile(r"([-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf\b|nan\b))((?:\s|[^\d.\s]).*)?", re.IGNORECASE)
+_EXPONENT = re.compile(r"(\^|\*\*)\s*-?\d(?!\d|\.\d|\s*(\^|\*\*))")
+
+
+@cache
+def _units() -> pint.UnitRegistry[Any]:
+    return pint.UnitRegistry()
+
+
+@cache
+def _unit(text: str) -> Any:
+    """Return a unit; of powers only single ones are let through, a tower of them would keep pint busy for ever."""
+    rest = _EXPONENT.sub("", text)
+    if "^" in rest or "**" in rest or not re.fullmatch(r"(?:[^\W\d]|[ %°²³1/*.()-])*", rest):
+        raise ValueError(f"{_shown(text)} is not a unit")
+    try:
+        return _units().parse_units(text)
+    # What pint raises on a malformed unit has no common base.
+    except Exception as e:
+        raise ValueError(f"{_shown(text)} is not a known unit") from e
+
+
+def _to_si(values: Any, unit: str, si: str) -> Any:
+    given, wanted = (_units().Quantity(1.0, _unit(u)) for u in (unit, si))
+    turns = ["radian" in str(q.to_base_units().units) for q in (given, wanted)]
+    # Nobody can tell whether 1/min and Hz count turns or radians.
+    if not given.is_compatible_with(wanted) or turns == [False, True]:
+        expected = "be a number without unit" if si == "1" else f"be {QUANTITIES.get(si, 'a quantity')} such as {si}"
+        raise ValueError(f"must {expected}")
+    return _units().Quantity(values, given.units).to(wanted.units).magnitude
+
+
+def _number(value: Any, si: str) -> float:
+    if isinstance(value, str):
+        match = _NUMBER.fullmatch(value.strip())
+        if match is None:
+            raise ValueError("must be a number" if si == "1" else f'must be a number and a unit such as "1 {si}"')
+        unit = (match[2] or "").strip()
+        if not math.isfinite(float(match[1])):
+            raise ValueError("must be a finite number")
+        if unit or si == "1":
+            return float(_to_si(float(match[1]), unit or "1", si))
+    elif isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be a number" if si == "1" else f'must be a number and a unit in quotes such as "1 {si}"')
+    elif si == "1":
+        return float(value)
+    raise ValueError(f"must have a unit such as {si}")
+
+
+def _shown(value: Any) -> str:
+    text = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) < 60 else f"{text[:56]} ..."
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
+
+
+class Reader:
+    """Reads what a user wrote and collects everything that is wrong with it."""
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+
+    def finish(self, where: str) -> None:
+        """Raise one InputError if anything was wrong."""
+        if self.problems:
+            raise InputError(where, self.problems)
+
+    def toml(self, path: Path | Traversable, kinds: Collection[str], extra: Mapping[str, type]) -> dict[str, Any]:
+        """Return what the top level of a file holds; apart from what each file has, it may have `extra` keys."""
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as e:
+            raise InputError(str(path), [f"not a TOML file: {e}"]) from e
+        except OSError as e:
+            raise InputError(str(path), [f"cannot be read: {e.strerror}"]) from e
+        if data.get("schema", SCHEMA) != SCHEMA:
+            raise InputError(str(path), [f"schema = {_shown(data['schema'])}, this version reads schema {SCHEMA}"])
+        keys = {"schema": int, "kind": str, "name": str, "title": str, "source": str, **extra}
+        self.keys(data, keys, "")
+        self.required(data, ("schema", "kind", "name", "title"), "")
+        wrong = [k for k, v in data.items() if k in keys and type(v) is not keys[k]]
+        self.problems.extend(f"{k} = {_shown(data[k])}, must be {_TYPES[keys[k]]}" for k in wrong)
+        data = {k: v for k, v in data.items() if k in keys and k not in wrong}
+        stem = path.name.removesuffix(".toml")
+        if data.get("name", stem) != stem:
+            self.problems.append(f'name = "{data["name"]}", must be the name of the file, "{stem}"')
+        if "kind" in data and data["kind"] not in kinds:
+            what = nearest(data["kind"], kinds) or f", must be {' or '.join(kinds) if len(kinds) < 3 else 'a kind of component'}"
+            self.problems.append(f'kind = "{data["kind"]}" is not known{what}')
+        return data
+
+    def required(self, data: Mapping[str, Any], names: Collection[str], where: str) -> None:
+        """Report what is missing."""
+        self.problems.extend(f"{where}{name} is missing" for name in names if name not in data)
+
+    def keys(self, data: Mapping[str, Any], known: Collection[str], where: str) -> None:
+        """Report what is unknown."""
+        self.problems.extend(f"{where}{key} is not known{nearest(key, known)}" for key in data if key not in known)
+
+    def number(self, value: Any, spec: Spec, where: str, *, plain: bool = False) -> float:
+        """Return one number in SI; with `plain`, a number without unit is SI already."""
+        plain = plain and isinstance(value, int | float) and not isinstance(value, bool)
+        try:
+            number = float(value) if plain else _number(value, spec.unit)
+        except ValueError as e:
+            self.problems.append(f"{where} = {_shown(value)}, {e}")
+            return math.nan
+        if not spec.holds(number):
+            self.problems.append(f"{where} = {_shown(value)}, must be {spec.allowed() or 'a finite number'}")
+        return number
+
+    def array(self, data: Any, spec: Spec, where: str, shape: Sequence[tuple[str, int | None]]) -> Any:
+        """Return a list, or a list of lists, in SI; `shape` names each level and gives its length where it is known."""
+        unit = "1"
+        if isinstance(data, dict):
+            self.keys(data, ("unit", "values"), f"{where}.")
+            self.required(data, ("unit", "values"), f"{where}.")
+            unit, data = data.get("unit", spec.unit), data.get("values", [])
+        before, bad = len(self.problems), list[str]()
+        self._level(data, where, shape, bad)
+        try:
+            if not isinstance(unit, str):
+                raise ValueError("must be a text")
+            _to_si(1.0, unit, spec.unit)
+        except ValueError as e:
+            self.problems.append(f"{where} has unit {_shown(unit)}, {e}")
+        if bad or len(self.problems) > before:
+            self._report(bad)
+            return None
+        values = np.asarray(_to_si(np.asarray(data, dtype=float), unit, spec.unit), dtype=float)
+        for index in np.argwhere(~np.vectorize(spec.holds, otypes=[bool])(values)):
+            given = np.asarray(data)[tuple(index)]
+            bad.append(f"{where}{''.join(f'[{i + 1}]' for i in index)} = {_with_unit(given, unit)}, must be {spec.allowed()}")
+        self._report(bad)
+        return values
+
+    def _level(self, data: Any, where: str, shape: Sequence[tuple[str, int | None]], bad: list[str]) -> None:
+        if not shape:
+            if isinstance(data, bool) or not isinstance(data, int | float) or not math.isfinite(data):
+                bad.append(f"{where} = {_shown(data)}, must be a finite number")
+            return
+        (name, length), *rest = shape
+        if not isinstance(data, list) or not data:
+            bad.append(f"{where} = {_shown(data)}, must be a list")
+        elif length is not None and len(data) != length:
+            bad.append(f"{where} has {len(data)} entries, must have {length}, one for each {name}")
+        else:
+            for i, x in enumerate(data, 1):
+                self._level(x, f"{where}[{i}]", rest, bad)
+
+    def _report(self, bad: Sequence[str]) -> None:
+        self.problems.extend(bad[:NAMED])
+        if len(bad) > NAMED:
+            self.problems.append(f"and {len(bad) - NAMED} more like these")
+
+    def table(self, data: Any, spec: Spec, where: str) -> Table | None:
+        """Return a map."""
+        names = [a.name for a in spec.axes]
+        if not isinstance(data, dict):
+            self.problems.append(f"{where} = {_shown(data)}, must be a table with {', '.join(names)} and values")
+            return None
+        before = len(self.problems)
+        self.keys(data, (*names, "values"), f"{where}.")
+        self.required(data, (*names, "values"), f"{where}.")
+        points = {name: self._axis(data[name], Spec(unit, ""), f"{where}.{name}", name) for name, unit in spec.axes if name in data}
+        shape = [(n, len(points[n]) if points.get(n) is not None else None) for n in names]
+        values = self.array(data["values"], spec, f"{where}.values", shape) if "values" in data else None
+        return None if len(self.problems) > before else Table.of(*(points[n] for n in names), values=values, clip=spec.clip)
+
+    def _axis(self, data: Any, spec: Spec, where: str, name: str) -> Any:
+        points = self.array(data, spec, where, [(name, None)])
+        if points is not None:
+            given = data["values"] if isinstance(data, dict) else data
+            falls = [(i, a, b) for i, (a, b) in enumerate(pairwise(given), 2) if b <= a]
+            self._report([f"{where}[{i}] = {b:g} follows {a:g}, an axis must rise strictly" for i, a, b in falls])
+        return points
+
+    def parameters(self, data: Mapping[str, Any], kind: type[Parameters], where: str, derived: Collection[str] = ()) -> dict[str, Any]:
+        """Return the values of a parameter set by name; only what has a default or is `derived` may be missing."""
+        known: dict[str, Field[Any]] = {f.name: f for f in fields(kind)}
+        self.keys(data, known, where)
+        for name, f in known.items():
+            if name not in data and f.default is MISSING and name not in derived:
+                self.problems.append(f"{where}{name} is missing: {spec_of(f).doc}")
+        return {name: self._value(data[name], spec_of(f), f"{where}{name}") for name, f in known.items() if name in data}
+
+    def _value(self, data: Any, spec: Spec, where: str) -> Any:
+        if spec.axes:
+            return self.table(data, spec, where)
+        if spec.row:
+            row = self.array(data, spec, where, [("row", None)])
+            return None if row is None else tuple(row.tolist())
+        return self.number(data, spec, where)
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentFile:
+    """A component as a file describes it; what other parts decide may still be open."""
+
+    kind: str
+    name: str
+    title: str
+    source: str
+    path: str
+    values: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def component(self) -> type[Component]:
+        """The class of the component."""
+        return KINDS[self.kind]
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """The parameter set; nothing may be open."""
+        return self.build()
+
+    def build(self, **values: Any) -> Parameters:
+        """Return the parameter set with some values added or replaced."""
+        return self.component.parameters(**{**self.values, **values})
+
+
+def parse_quantity(value: str | float, unit: str, where: str) -> float:
+    """Return a number with unit, such as ``"0.05 kg m^2"``, in the SI unit `unit`."""
+    reader = Reader()
+    number = reader.number(value, Spec(unit, ""), where)
+    reader.finish("input")
+    return number
+
+
+def _library() -> dict[str, tuple[str, Traversable]]:
+    """Return kind and place of all components of the library by name."""
+    root = files("halfshaft.library") / "data"
+    found = [(kind, p) for kind in KINDS if (root / kind).is_dir() for p in (root / kind).iterdir() if p.name.endswith(".toml")]
+    return {p.name.removesuffix(".toml"): (kind, p) for kind, p in sorted(found, key=lambda x: x[1].name)}
+
+
+def component_names(kind: str | None = None) -> list[str]:
+    """Return the names of the library's components, of one kind or all."""
+    if kind is not None and kind not in KINDS:
+        raise InputError("component_names", [f"'{kind}' is not a kind of component{nearest(kind, KINDS)}"])
+    return [name for name, (k, _) in _library().items() if kind in (None, k)]
+
+
+def read_component(source: str | Path, derived: Collection[str] = ()) -> ComponentFile:
+    """Return a component of the library by name, or of a file ending in ``.toml``.
+
+    Parameters
+    ----------
+    source
+        Name or path.
+    derived
+        Names of parameters that the file may leave open, because the caller derives them from other parts.
+
+    """
+    path: Path | Traversable = Path(source)
+    if isinstance(source, str) and not source.endswith(".toml"):
+        library = _library()
+        if source not in library:
+            raise InputError(f"component '{source}'", [f"not in the library{nearest(source, library)}"])
+        path = library[source][1]
+    reader = Reader()
+    data = reader.toml(path, KINDS, {"parameters": dict})
+    reader.required(data, ("source",), "")
+    values: dict[str, Any] = {}
+    if data.get("kind") in KINDS:
+        values = reader.parameters(data.get("parameters", {}), KINDS[data["kind"]].parameters, "parameters.", derived)
+    reader.finish(str(path))
+    file = ComponentFile(data["kind"], data["name"], data["title"], data["source"], str(path), values)
+    if values.keys() >= set(derived):
+        try:
+            file.build()
+        except InputError as e:
+            raise InputError(str(path), [f"parameters: {p}" for p in e.problems]) from None
+    return file

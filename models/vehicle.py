@@ -1,0 +1,353 @@
+"""Vehicles: which parts fill the roles of a powertrain, the numbers set for them, and the rules that derive others.
+
+A vehicle file names its parts by role, sets numbers as ``role.parameter`` and names rules.  A number that is set wins
+over a rule; a rule follows when what it depends on changes.  With ``base`` a file starts from another vehicle and says
+only what differs.  Numbers and rules of a part go when the part is replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cached_property, lru_cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeAlias, cast
+
+from halfshaft.library.component import Component
+from halfshaft.library.engine import EngineParameters
+from halfshaft.library.errors import InputError, nearest
+from halfshaft.library.files import ComponentFile, Reader, component_names, read_component
+from halfshaft.library.final_drive import FinalDriveParameters
+from halfshaft.library.generator import GeneratorParameters
+from halfshaft.library.motor import MotorParameters
+from halfshaft.library.parameters import Parameters, Spec, numbers, param, spec_of
+from halfshaft.library.series_control import genset_locus
+from halfshaft.library.tables import Table
+from halfshaft.library.wheel import WheelParameters
+
+Parts: TypeAlias = Mapping[str, ComponentFile]
+Sets: TypeAlias = Mapping[str, Parameters]
+
+_ELECTRIC = {
+    "body": ("body",),
+    "wheel": ("wheel",),
+    "final_drive": ("final-drive",),
+    "gearbox": ("gearbox-polynomial", "gearbox-map"),
+    "shift": ("fixed-gear", "shift"),
+    "motor": ("motor",),
+    "accessories": ("electric-accessories",),
+    "bus": ("bus",),
+    "battery": ("battery",),
+}
+#: Roles of each powertrain and the kinds of components that may fill them.
+POWERTRAINS: dict[str, dict[str, tuple[str, ...]]] = {
+    "electric": _ELECTRIC,
+    "series": {**_ELECTRIC, "control": ("series-control",), "engine": ("engine",), "generator": ("generator",)},
+    "conventional": {
+        "body": ("body",),
+        "wheel": ("wheel",),
+        "final_drive": ("final-drive",),
+        "gearbox": ("gearbox-polynomial", "gearbox-map"),
+        "shift": ("fixed-gear", "shift"),
+        "clutch": ("clutch",),
+        "accessories": ("mechanical-accessories",),
+        "engine": ("engine",),
+        "control": ("conventional-control",),
+    },
+}
+
+
+class Rule(Protocol):
+    """Derives the value of one parameter from other parts."""
+
+    target: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]]
+
+    def __call__(self, sets: Sets) -> Any:
+        """Return the value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopSpeed(Parameters):
+    """The gear ratio at which the motor reaches its top speed when the vehicle drives at `v`."""
+
+    target: ClassVar[str] = "gearbox.ratios"
+    needs: ClassVar[tuple[str, ...]] = ("motor", "wheel", "final_drive")
+    v: float = param("m/s", "speed of the vehicle", gt=0)
+    slip: float = param("1", "slip of the tyres at that speed", 0.0, ge=0)
+
+    def __call__(self, sets: Sets) -> tuple[float]:
+        """Return the ratio of a single-speed gearbox."""
+        motor, wheel = cast(MotorParameters, sets["motor"]), cast(WheelParameters, sets["wheel"])
+        final_drive = cast(FinalDriveParameters, sets["final_drive"])
+        return (motor.omega_max * motor.speed_scale / (self.v / wheel.r * (1 + self.slip)) / final_drive.i,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GensetLocus(Parameters):
+    """The genset speeds of least fuel."""
+
+    target: ClassVar[str] = "control.omega_locus"
+    needs: ClassVar[tuple[str, ...]] = ("engine", "generator")
+
+    def __call__(self, sets: Sets) -> Table:
+        """Return the speed over engine power."""
+        return _locus(cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"]))
+
+
+# The locus takes longer than all else here, and most changes leave engine and generator alone.
+_locus = lru_cache(maxsize=16)(genset_locus)
+
+RULES: dict[str, Any] = {"top-speed": TopSpeed, "genset-locus": GensetLocus}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Vehicle:
+    """A vehicle with all its numbers.
+
+    Raises
+    ------
+    InputError
+        If names, numbers or parts do not fit; everything that is wrong is named at once.
+
+    """
+
+    name: str
+    title: str
+    source: str
+    powertrain: str
+    parts: Parts
+    #: Numbers that were set, in SI, by ``role.parameter``.
+    given: Mapping[str, float] = field(default_factory=dict)
+    rules: Mapping[str, Rule] = field(default_factory=dict)
+    parameters: Sets = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Derive and check all parameters."""
+        object.__setattr__(self, "parameters", _parameter_sets(self))
+
+    @property
+    def explicit(self) -> frozenset[str]:
+        """Names of the numbers that were set."""
+        return frozenset(self.given)
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """All numbers by ``role.parameter``, the entries of a row by ``role.parameter_1`` and so on."""
+        return {f"{role}.{name}": value for role, p in self.parameters.items() for name, _, value in numbers(p)}
+
+    @cached_property
+    def specs(self) -> dict[str, Spec]:
+        """Unit, meaning and bounds of all numbers."""
+        return _specs(self.parts)
+
+    def components(self) -> dict[str, Component]:
+        """Return the components by role, from the wheel to the source."""
+        return {role: part.component(self.parameters[role]) for role, part in self.parts.items()}
+
+    def with_values(self, values: Mapping[str, float | str]) -> Vehicle:
+        """Return the vehicle with numbers set: SI numbers, or texts with a unit; the rules follow."""
+        reader = Reader()
+        given = _numbers(reader, self.parts, values, "", plain=True)
+        reader.finish(f"vehicle '{self.name}'")
+        return replace(self, given={**self.given, **given})
+
+    def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
+        """Return the vehicle with parts replaced, by names in the library or paths of files."""
+        reader = Reader()
+        new = _parts(reader, self.powertrain, parts, "", Path())
+        reader.finish(f"vehicle '{self.name}'")
+        return replace(
+            self,
+            parts=_ordered(self.powertrain, {**self.parts, **new}),
+            given=_without(self.given, new),
+            rules=_without(self.rules, new),
+        )
+
+    @classmethod
+    def load(cls, source: str | Path) -> Vehicle:
+        """Return a vehicle of the library by name, or of a file ending in ``.toml``."""
+        return _load(source, ())
+
+
+def vehicle_names() -> list[str]:
+    """Return the names of the library's vehicles."""
+    return sorted(_library())
+
+
+def _library() -> dict[str, Traversable]:
+    folder = files("halfshaft.models") / "data" / "vehicles"
+    return {p.name.removesuffix(".toml"): p for p in folder.iterdir() if p.name.endswith(".toml")}
+
+
+def _specs(parts: Parts) -> dict[str, Spec]:
+    specs = {}
+    for role, part in parts.items():
+        for f in fields(part.component.parameters):
+            spec = spec_of(f)
+            row = part.values.get(f.name, () if f.default is MISSING else f.default) if spec.row else ()
+            names = [f"{f.name}_{i}" for i in range(1, len(row) + 1)] if spec.row else [] if spec.axes else [f.name]
+            specs.update({f"{role}.{name}": spec for name in names})
+    return specs
+
+
+def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str, *, plain: bool = False) -> dict[str, float]:
+    """Return numbers by ``role.parameter`` in SI."""
+    specs = _specs(parts)
+    reader.keys(values, specs, where)
+    return {name: reader.number(x, specs[name], where + name, plain=plain) for name, x in values.items() if name in specs}
+
+
+def _parts(reader: Reader, powertrain: str, names: Mapping[str, Any], where: str, folder: Path | Traversable) -> dict[str, ComponentFile]:
+    """Return the parts by role; names that end in ``.toml`` are relative to `folder`."""
+    roles = POWERTRAINS[powertrain]
+    reader.keys(names, roles, where)
+    parts = {}
+    for role, name in names.items():
+        if role not in roles:
+            continue
+        if not isinstance(name, str | Path):
+            reader.problems.append(f"{where}{role} = {name}, must be the name of a component")
+            continue
+        path = folder / Path(name) if isinstance(folder, Path) and str(name).endswith(".toml") else name
+        derived = [rule.target.removeprefix(f"{role}.") for rule in RULES.values() if rule.target.startswith(f"{role}.")]
+        try:
+            part = read_component(path, derived)
+        except InputError as e:
+            reader.problems.extend(f"{where}{role}: {e.where}: {p}" for p in e.problems)
+            continue
+        if part.kind in roles[role]:
+            parts[role] = part
+        else:
+            fitting = [n for kind in roles[role] for n in component_names(kind)]
+            reader.problems.append(
+                f'{where}{role} = "{name}" is of kind {part.kind}, must be {" or ".join(roles[role])}{nearest(str(name), fitting)}'
+            )
+    return parts
+
+
+def _ordered(powertrain: str, parts: Parts) -> dict[str, ComponentFile]:
+    return {role: parts[role] for role in POWERTRAINS[powertrain] if role in parts}
+
+
+def _without(named: Mapping[str, Any], roles: Collection[str]) -> dict[str, Any]:
+    return {name: x for name, x in named.items() if name.partition(".")[0] not in roles}
+
+
+def _rules(reader: Reader, parts: Parts, data: Mapping[str, Any], where: str) -> dict[str, Rule]:
+    names = {f"{role}.{f.name}" for role, part in parts.items() for f in fields(part.component.parameters)}
+    targets = {rule.target for rule in RULES.values()} & names
+    reader.keys(data, targets, where)
+    rules = {}
+    for target, settings in data.items():
+        place, name = f"{where}{target}", settings.get("rule") if isinstance(settings, dict) else None
+        fitting = [n for n, rule in RULES.items() if rule.target == target]
+        if name not in fitting:
+            if target in targets:
+                reader.problems.append(f"{place} has rule {name!r}, must be {' or '.join(fitting)}")
+            continue
+        before = len(reader.problems)
+        values = reader.parameters({k: v for k, v in settings.items() if k != "rule"}, RULES[name], f"{place}.")
+        if len(reader.problems) == before:
+            rules[target] = RULES[name](**values)
+    return rules
+
+
+def _flat(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what belongs to each ``role.parameter``, whether or not the name was quoted."""
+    nested = {role: x for role, x in data.items() if "." not in role and isinstance(x, dict)}
+    return {k: x for k, x in data.items() if k not in nested} | {f"{r}.{k}": x for r, part in nested.items() for k, x in part.items()}
+
+
+def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
+    path: Path | Traversable = Path(source)
+    if isinstance(source, str) and not source.endswith(".toml"):
+        library = _library()
+        if source not in library:
+            raise InputError(f"vehicle '{source}'", [f"not in the library{nearest(source, library)}"])
+        path = library[source]
+    if str(path) in above:
+        raise InputError(str(path), ["base leads back to the vehicle itself"])
+    reader = Reader()
+    data = reader.toml(path, ["vehicle"], {"powertrain": str, "base": str, "parts": dict, "set": dict, "derive": dict})
+    folder = path.parent if isinstance(path, Path) else path
+    base = None
+    if "base" in data:
+        beside = folder / data["base"] if isinstance(folder, Path) and data["base"].endswith(".toml") else data["base"]
+        base = _load(beside, (*above, str(path)))
+    else:
+        reader.required(data, ("source", "powertrain", "parts"), "")
+    powertrain = data.get("powertrain", base.powertrain if base else "")
+    if powertrain not in POWERTRAINS:
+        if "powertrain" in data:
+            reader.problems.append(f'powertrain = "{powertrain}" is not known{nearest(powertrain, POWERTRAINS)}')
+        reader.finish(str(path))
+    elif base and powertrain != base.powertrain:
+        reader.problems.append(f'powertrain = "{powertrain}", must be that of its base, "{base.powertrain}"')
+    new = _parts(reader, powertrain, data.get("parts", {}), "parts.", folder)
+    parts = _ordered(powertrain, {**(base.parts if base else {}), **new})
+    reader.required({**parts, **data.get("parts", {})}, POWERTRAINS[powertrain], "parts.")
+    lost = (POWERTRAINS[powertrain].keys() - parts) | (data.get("parts", {}).keys() - new)
+    given = _numbers(reader, parts, _without(_flat(data.get("set", {})), lost), "set.")
+    rules = _rules(reader, parts, _without(_flat(data.get("derive", {})), lost), "derive.")
+    reader.finish(str(path))
+    try:
+        return Vehicle(
+            name=data["name"],
+            title=data["title"],
+            source=data.get("source", base.source if base else ""),
+            powertrain=powertrain,
+            parts=parts,
+            given={**(_without(base.given, new) if base else {}), **given},
+            rules={**(_without(base.rules, new) if base else {}), **rules},
+        )
+    except InputError as e:
+        raise InputError(str(path), e.problems) from None
+
+
+def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
+    """Return the parameter sets by role, with the numbers that were set and what the rules derive."""
+    problems: list[str] = []
+    values = {role: dict(part.values) for role, part in vehicle.parts.items()}
+    for name, x in vehicle.given.items():
+        role, _, parameter = name.partition(".")
+        stem, _, place = parameter.rpartition("_")
+        if stem in values[role] and isinstance(values[role][stem], tuple):
+            row = values[role][stem]
+            values[role][stem] = (*row[: int(place) - 1], x, *row[int(place) :])
+        else:
+            values[role][parameter] = x
+    rules = dict(vehicle.rules)
+    if "control" in values and vehicle.powertrain == "series" and "omega_locus" not in values["control"]:
+        rules.setdefault(GensetLocus.target, GensetLocus())
+    rows_set = {name.rpartition("_")[0] for name in vehicle.given}
+    rules = {target: rule for target, rule in rules.items() if target not in rows_set}
+    sets: dict[str, Parameters] = {}
+
+    def build(role: str) -> None:
+        try:
+            sets[role] = vehicle.parts[role].build(**values[role])
+        except InputError as e:
+            problems.extend(f"{role}: {p}" for p in e.problems)
+
+    waiting = {target.partition(".")[0] for target in rules}
+    for role in values:
+        if role not in waiting:
+            build(role)
+    if not problems:
+        for target, rule in rules.items():
+            role, _, parameter = target.partition(".")
+            lacking = [r for r in rule.needs if r not in sets]
+            if lacking:
+                problems.append(f"{target}: its rule needs {' and '.join(lacking)}, which this vehicle does not have")
+                continue
+            value = rule(sets)
+            if isinstance(value, tuple) and len(value) != len(values[role][parameter]):
+                problems.append(f"{target} has {len(values[role][parameter])} entries, its rule gives {len(value)}")
+            values[role][parameter] = value
+            build(role)
+    if problems:
+        raise InputError(f"vehicle '{vehicle.name}'", problems)
+    return {role: sets[role] for role in vehicle.parts}

@@ -1,0 +1,193 @@
+import pytest
+
+from halfshaft.library.errors import InputError
+from halfshaft.models.vehicle import POWERTRAINS, Vehicle, vehicle_names
+
+SERIES = Vehicle.load("small-car-series")
+
+FILE = """schema = 1
+kind = "vehicle"
+name = "v"
+title = "V"
+base = "small-car-electric"
+"""
+
+
+def write(folder, text, name="v"):
+    path = folder / f"{name}.toml"
+    path.write_text(text)
+    return path
+
+
+def problems(action, *arguments):
+    with pytest.raises(InputError) as e:
+        action(*arguments)
+    return list(e.value.problems)
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_every_vehicle_loads_and_fills_all_roles(name):
+    vehicle = Vehicle.load(name)
+    assert vehicle.name == name
+    assert list(vehicle.components()) == list(POWERTRAINS[vehicle.powertrain])
+    assert vehicle.values.keys() == vehicle.specs.keys()
+    assert vehicle.source
+
+
+@pytest.mark.parametrize("mass", [1459, 1936, 2393])
+def test_the_papers_vehicles_differ_in_mass_only(mass):
+    vehicle, lightest = Vehicle.load(f"paper-series-{mass}"), Vehicle.load("paper-series-1459")
+    assert vehicle.values == {**lightest.values, "body.m": mass}
+    assert vehicle.values["gearbox.ratios_1"] == 6.14
+    assert vehicle.values["battery.n_modules"] == 27
+    assert vehicle.values["body.v_miss"] == 0.447
+
+
+@pytest.mark.parametrize(("name", "mass"), [("small-car-electric", 1144), ("small-car-series", 1373), ("small-car-conventional", 984)])
+def test_small_cars_have_the_masses_of_the_source(name, mass):
+    assert Vehicle.load(name).values["body.m"] == mass
+
+
+def test_top_speed_rule_gives_the_ratio_of_the_source():
+    # The source's figures have 12 digits; motor speeds there are rounded likewise.
+    assert SERIES.values["gearbox.ratios_1"] == pytest.approx(6.67321332876, rel=1e-11)
+
+
+def test_top_speed_rule_follows_wheel_motor_and_final_drive():
+    ratio = SERIES.values["gearbox.ratios_1"]
+    changed = SERIES.with_values({"wheel.r": 2 * 0.282, "motor.speed_scale": 1.5, "final_drive.i": 3.0})
+    assert changed.values["gearbox.ratios_1"] == pytest.approx(ratio * 2 * 1.5 / 3)
+
+
+def test_top_speed_rule_follows_another_motor():
+    # 5.0049 is the source's default ratio with this motor.
+    assert SERIES.with_parts({"motor": "pm-32kw"}).values["gearbox.ratios_1"] == pytest.approx(5.0049, abs=5e-5)
+
+
+def test_a_number_that_is_set_wins_over_its_rule():
+    changed = SERIES.with_values({"gearbox.ratios_1": 5.0}).with_values({"wheel.r": 0.3})
+    assert changed.values["gearbox.ratios_1"] == 5.0
+    assert "gearbox.ratios_1" in changed.explicit
+
+
+def test_genset_locus_is_that_of_the_source():
+    locus = SERIES.parameters["control"].omega_locus
+    assert locus.values.tolist() == [104.5, 107, 154, 248, 326, 351, 374, 424, 487, 498, 596.9]
+    assert locus.points[0][[0, 1, -1]].tolist() == pytest.approx([710.6, 4740.243, 41007.03])
+
+
+def test_genset_locus_follows_the_generator():
+    weak = SERIES.with_values({"generator.torque_scale": 0.3})
+    assert weak.parameters["control"].omega_locus.values.tolist() != SERIES.parameters["control"].omega_locus.values.tolist()
+
+
+def test_the_vehicle_itself_never_changes():
+    SERIES.with_values({"body.m": 2000.0})
+    assert SERIES.values["body.m"] == 1373
+
+
+def test_values_may_be_texts_with_units():
+    assert SERIES.with_values({"body.m": "1.5 t", "motor.J": "470 kg cm^2"}).values["motor.J"] == pytest.approx(0.047)
+
+
+def test_all_bad_values_are_named_at_once():
+    found = problems(SERIES.with_values, {"body.mm": 3, "motor.J": "3 kg", "wheel.r": -1, "body.c_d": float("nan")})
+    assert found == [
+        "body.mm is not known, did you mean 'body.m'?",
+        'motor.J = "3 kg", must be an inertia such as kg.m^2',
+        "wheel.r = -1, must be > 0 m",
+        found[3],
+    ]
+    assert found[3].startswith("body.c_d = nan, must be >= 0")
+
+
+def test_contradictions_within_a_part_are_named():
+    assert problems(SERIES.with_values, {"control.soc_low": 0.9}) == ["control: soc_low = 0.9 must be below soc_high = 0.8"]
+
+
+def test_a_gear_that_does_not_exist_cannot_be_set():
+    assert problems(SERIES.with_values, {"gearbox.ratios_2": 3.0}) == ["gearbox.ratios_2 is not known, did you mean 'gearbox.ratios_1'?"]
+
+
+def test_one_gear_of_several_can_be_set():
+    values = Vehicle.load("small-car-conventional").with_values({"gearbox.ratios_3": 5.5}).values
+    assert [values[f"gearbox.ratios_{i}"] for i in (2, 3, 4)] == [7.57, 5.5, 3.77]
+
+
+def test_numbers_and_rules_of_a_part_go_when_it_is_replaced():
+    changed = SERIES.with_parts({"gearbox": "single-polynomial", "battery": "nimh-93ah"})
+    assert changed.values["gearbox.ratios_1"] == 6.14
+    assert changed.explicit == {"body.m", "generator.torque_scale"}
+
+
+def test_parts_that_do_not_fit_are_named_at_once():
+    found = problems(SERIES.with_parts, {"motor": "pb-25ah", "mator": "pm-32kw", "engine": "si-41w"})
+    assert found == [
+        "mator is not known, did you mean 'motor'?",
+        'motor = "pb-25ah" is of kind battery, must be motor',
+        "engine: component 'si-41w': not in the library, did you mean 'si-41kw'?",
+    ]
+
+
+def test_a_misspelt_vehicle_names_the_nearest():
+    with pytest.raises(InputError, match="did you mean 'small-car-series'"):
+        Vehicle.load("small-car-serie")
+
+
+def test_a_file_can_change_another_vehicle(tmp_path):
+    part = 'schema = 1\nkind = "body"\nname = "b"\ntitle = "B"\nsource = "S"\n[parameters]\nm = "900 kg"\nc_d = 0.2\nA = "1.9 m^2"\n'
+    write(tmp_path, part, "b")
+    vehicle = Vehicle.load(write(tmp_path, FILE + '[parts]\nbody = "b.toml"\n[set]\nwheel.r = "0.3 m"\n'))
+    assert vehicle.values["body.m"] == 900
+    assert vehicle.values["wheel.r"] == 0.3
+    assert vehicle.values["gearbox.ratios_1"] == pytest.approx(6.67321332876 * 0.3 / 0.282)
+
+
+def test_a_bad_file_names_every_problem(tmp_path):
+    text = FILE.replace('title = "V"\n', "") + (
+        '[parts]\nmotor = "pm-32w"\n[set]\nbody.mm = "3 kg"\nmotor.J = "1 kg m^2"\nwheel.r = 0.3\nfoo = 1\n'
+        '[derive]\ngearbox.ratios = {rule = "top-sped"}\nbody.m = {rule = "top-speed", v = "30 m/s"}\n'
+    )
+    assert problems(Vehicle.load, write(tmp_path, text)) == [
+        "title is missing",
+        "parts.motor: component 'pm-32w': not in the library, did you mean 'pm-32kw'?",
+        "set.foo is not known",
+        "set.body.mm is not known, did you mean 'body.m'?",
+        "set.wheel.r = 0.3, must have a unit such as m",
+        "derive.body.m is not known",
+        "derive.gearbox.ratios has rule 'top-sped', must be top-speed",
+    ]
+
+
+def test_a_rule_needs_its_parts_and_one_gear(tmp_path):
+    rule = '[derive]\ngearbox.ratios = {rule = "top-speed", v = "30 m/s"}\n'
+    (found,) = problems(Vehicle.load, write(tmp_path, FILE.replace("electric", "conventional") + rule))
+    assert found == "gearbox.ratios: its rule needs motor, which this vehicle does not have"
+    found = problems(Vehicle.load, write(tmp_path, FILE + '[parts]\ngearbox = "five-speed-map"\n' + rule))
+    assert found == ["gearbox.ratios has 5 entries, its rule gives 1"]
+
+
+def test_settings_of_a_rule_are_checked(tmp_path):
+    found = problems(Vehicle.load, write(tmp_path, FILE + '[derive]\ngearbox.ratios = {rule = "top-speed", v = "30 kg", slop = 1}\n'))
+    assert found == [
+        "derive.gearbox.ratios.slop is not known, did you mean 'slip'?",
+        'derive.gearbox.ratios.v = "30 kg", must be a speed such as m/s',
+    ]
+
+
+def test_missing_parts_and_an_unknown_powertrain_are_named(tmp_path):
+    head = 'schema = 1\nkind = "vehicle"\nname = "v"\ntitle = "V"\nsource = "S"\n'
+    assert problems(Vehicle.load, write(tmp_path, head + 'powertrain = "elektric"\nparts = {}\n')) == [
+        "powertrain = \"elektric\" is not known, did you mean 'electric'?"
+    ]
+    found = problems(Vehicle.load, write(tmp_path, head + 'powertrain = "electric"\nparts = {body = "small-car"}\n'))
+    assert found == [f"parts.{role} is missing" for role in POWERTRAINS["electric"] if role != "body"]
+
+
+def test_a_vehicle_cannot_be_its_own_base(tmp_path):
+    found = problems(Vehicle.load, write(tmp_path, FILE.replace("small-car-electric", "v.toml")))
+    assert found == ["base leads back to the vehicle itself"]
+
+
+def test_a_component_file_is_no_vehicle(tmp_path):
+    assert 'kind = "body" is not known, must be vehicle' in problems(Vehicle.load, write(tmp_path, FILE.replace('"vehicle"', '"body"')))
