@@ -35,6 +35,10 @@ class Driver:
     t_shift: float = 0.2
     #: Shortest time between two shifts [s]; the step's rule, none downward for two steps, is as long at steps of 1 s.
     t_hold: float = 2.0
+    #: Below this speed [m/s] a driver who wants to stop leaves the pedals and holds the vehicle with the brakes, at this
+    #: share of its weight.
+    v_stop: float = 0.05
+    hold: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,9 @@ class Forward:
         miss = step.output_index["body.trace_miss"]
         distance = [d.name for d in plant.states].index("body.distance")
         elevation = [d.name for d in plant.states].index("body.elevation")
+        speed = [d.name for d in plant.states].index("body.v")
+        brake = plant.held.index("wheel.F_brake_front")
+        weight = np.array([step.parameter_index[f"body.{name}"] for name in ("m", "g")])
 
         x, a, integral = memory[places].copy(), 0.0, 0.0
         x_start = x.copy()
@@ -98,20 +105,25 @@ class Forward:
             a_asked = (samples.v[k] - v_before) / dt + driver.k_p * error + driver.k_i * integral
             grade = np.interp(x[distance], *samples.grade_by_distance) if samples.grade_by_distance else samples.grade[k]
             memory[places], memory[missed] = x, 0.0
-            # Standing for a stop, the driver keeps the foot on the brake.
-            asked = 0.0 if samples.v[k] == 0 and x[0] < 0.05 else max(0.0, x[0] + a_asked * dt)
+            asked = max(0.0, x[0] + a_asked * dt)
+            stopped = samples.v[k] == 0 and x[0] < driver.v_stop
+            if stopped:
+                asked = memory[places[speed]] = 0.0
             memory, outputs = self.stepper(memory, np.array([asked, grade, samples.key_on[k], dt, 0.0]), parameters)
             if abs(outputs[miss]) < 1e-6 and samples.v[k] > 0:
                 integral += error * dt
             elif samples.v[k] == 0:
                 integral = 0.0
-            p = np.concatenate([outputs[held_at], [grade, samples.key_on[k]], parameters])
+            held = outputs[held_at]
+            if stopped:
+                held[brake] = -driver.hold * parameters[weight].prod()
+            p = np.concatenate([held, [grade, samples.key_on[k]], parameters])
             x, a, gained = self._interval(x, a, p, samples.t[k] - dt)
             quads += gained
             rows[k] = np.array(self.plant.outputs(x, a, p)).ravel()
             v_before = samples.v[k]
         energies = {d.name: float(q) for d, q in zip(plant.booked, quads, strict=True)}
-        m, g = (parameters[step.parameter_index[f"body.{name}"]] for name in ("m", "g"))
+        m, g = parameters[weight]
         # The states know these better than the integrals of their rates do.
         energies["body.P_kinetic"] = 0.5 * m * (x[0] ** 2 - x_start[0] ** 2)
         energies["body.P_climb"] = m * g * (x[elevation] - x_start[elevation])

@@ -18,7 +18,16 @@ from halfshaft.library.errors import InputError
 from halfshaft.models.assembly import Step
 
 
-def build_fmu(step: Step, code: str, path: Path | str, *, fmi: Version, step_size: float = 1.0, cycle: CycleTable | None = None) -> Path:
+def build_fmu(
+    step: Step,
+    code: str,
+    path: Path | str,
+    *,
+    fmi: Version,
+    step_size: float = 1.0,
+    cycle: CycleTable | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Path:
     """Write a co-simulation FMU and return its path.
 
     Without a cycle the FMU is driven: requested speed, grade and key are inputs.  With one it is self-contained.
@@ -37,19 +46,21 @@ def build_fmu(step: Step, code: str, path: Path | str, *, fmi: Version, step_siz
         Length of the internal steps [s].
     cycle
         The cycle to compile in, one row per internal step.
+    values
+        Start values of parameters by name, where they are not those of the step.
 
     Raises
     ------
     InputError
-        If the cycle does not fit or the file cannot be written.
+        If the cycle or a value does not fit, or the file cannot be written.
     CompileError
         If there is no C compiler, or it refuses the code.
 
     """
     import fmpy  # takes half a second
 
-    check(step, step_size, cycle)
-    table = variables(step, step_size, cycle)
+    check(step, step_size, cycle, values or {})
+    table = variables(step, step_size, cycle, values or {})
     c = sources(step, code, table, cycle, fmi)
     library = shared_library(c.files[c.main], step.name, {name: text for name, text in c.files.items() if name != c.main})
     platform = fmpy.platform if fmi == 2 else fmpy.platform_tuple

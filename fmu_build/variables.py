@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from halfshaft.library.errors import InputError
+from halfshaft.library.errors import InputError, nearest
 from halfshaft.models.assembly import Step
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -45,27 +46,25 @@ class Variable(NamedTuple):
     state: int | None = None
 
 
-def variables(step: Step, step_size: float, cycle: CycleTable | None) -> list[Variable]:
-    """Return all variables: time, requests, step size, parameters, outputs."""
-    speed, grade, key_on, _ = step.requests
-    requests = [(r, r.start) for r in (speed, grade, key_on)]
+def variables(step: Step, step_size: float, cycle: CycleTable | None, values: Mapping[str, float]) -> list[Variable]:
+    """Return all variables: time, requests, step size, parameters, outputs; `values` replaces start values of parameters."""
+    requests = [(r, r.start) for r in step.requests[:3]]
     if cycle:
-        requests = [(speed, cycle.v_start), (grade, float(cycle.grade[0])), (key_on, float(cycle.key_on[0]))]
+        firsts = (cycle.v_start, cycle.grade[0], cycle.key_on[0])
+        requests = [(r, float(first)) for (r, _), first in zip(requests, firsts, strict=True)]
+        values = {**values, START_SPEED: cycle.v_start}
     length = ("step_size", "s", "length of the internal steps")
     return [
         Variable("time", "s", "time", "independent", 0.0),
         *(Variable(r.name, r.unit, r.doc, "output" if cycle else "input", start) for r, start in requests),
         Variable(*length, "local", step_size) if cycle else Variable(*length, "parameter", step_size, SHORTEST_STEP),
-        *(
-            Variable(p.name, p.unit, p.doc, "parameter", cycle.v_start if cycle and p.name == START_SPEED else p.start, p.lowest, p.highest)
-            for p in step.parameters
-        ),
+        *(Variable(p.name, p.unit, p.doc, "parameter", values.get(p.name, p.start), p.lowest, p.highest) for p in step.parameters),
         *(Variable(y.name, y.unit, y.doc, "output", 0.0, state=y.state) for y in step.outputs),
     ]
 
 
-def check(step: Step, step_size: float, cycle: CycleTable | None) -> None:
-    """Refuse a cycle or a step size that no FMU can be made from.
+def check(step: Step, step_size: float, cycle: CycleTable | None, values: Mapping[str, float]) -> None:
+    """Refuse values, a cycle or a step size that no FMU can be made from.
 
     Raises
     ------
@@ -74,13 +73,16 @@ def check(step: Step, step_size: float, cycle: CycleTable | None) -> None:
 
     """
     problems = [] if SHORTEST_STEP <= step_size < np.inf else [f"step_size = {step_size:g} s, must be at least {SHORTEST_STEP:g} s"]
+    parameters = [p.name for p in step.parameters]
+    problems += [f"no parameter '{name}'{nearest(name, parameters)}" for name in values if name not in parameters]
+    problems += [f"{name} = {value:g} is not a finite number" for name, value in values.items() if not np.isfinite(value)]
     if cycle:
         rows = (cycle.v_request, cycle.grade, cycle.key_on)
         if len({np.shape(row) for row in rows}) > 1 or np.ndim(cycle.v_request) != 1 or not len(cycle.v_request):
             problems.append("v_request, grade and key_on must be rows of the same length, at least 1")
         if not all(np.all(np.isfinite(row)) for row in (*rows, cycle.v_start, *(cycle.grade_distance or ()))):
             problems.append("not all numbers of the cycle are finite")
-        if cycle.v_start and START_SPEED not in [p.name for p in step.parameters]:
+        if cycle.v_start and START_SPEED not in parameters:
             problems.append(f"v_start = {cycle.v_start:g} m/s, but the model has no parameter {START_SPEED}")
         if cycle.grade_distance:
             distance, grade = cycle.grade_distance

@@ -36,8 +36,9 @@ from halfshaft.library.tables import Axis, Table
 
 #: Output speed [rad/s] below which the power of equation (2) fades to nothing, so that the torque stays finite.
 OMEGA_FLOOR = 0.2
-#: Output speed [rad/s] below which equation (3) reads the map here: at standstill the efficiency is zero whatever the loss is.
-OMEGA_LOOKUP = 1.0
+#: Output speed [rad/s] below which equation (3) reads the map here.  The maps come from a loss polynomial that is
+#: negative near standstill; clipped, it leaves zeros where the efficiency is near one.
+OMEGA_LOOKUP = 5.0
 #: Lowest efficiency.  The maps are zero at standstill and at small braking torques, where no torque would ever pass.
 E_LOWEST = 0.05
 

@@ -105,7 +105,7 @@ class Motor(TwoSided):
             return s._replace(tau=where(s.tau >= 0, ca.fmin(s.tau, highest), ca.fmax(s.tau, lowest)))
 
         def power(s: Shaft) -> Electric:
-            on = turning(s.omega - OMEGA_OFF) ** 2 * (1 - shifting)
+            on = ca.fmax(turning(s.omega - OMEGA_OFF), 0) ** 2 * (1 - shifting)
             return Electric(on * self.power(s.tau, omega_map(s)))
 
         def same_efficiency(asked: Shaft, sent: Electric, offered: Electric) -> Shaft:

@@ -22,6 +22,7 @@ class Toy(NamedTuple):
         Description("grade", "1", "slope of the road"),
         Description("key_on", "1", "whether the key is on", "flag", 1.0),
         Description("dt", "s", "length of the step", "real", 1.0),
+        Description("decided", "1", "what a shell leaves at 0", "flag"),
     )
     parameters: tuple = (
         Description("body.a_max", "m/s^2", "largest acceleration", "real", 1.5, 0.0, 20.0),
@@ -39,7 +40,7 @@ class Toy(NamedTuple):
 CODE = """
 #include <math.h>
 #define HS_NX 2
-#define HS_NU 4
+#define HS_NU 5
 #define HS_NP 3
 #define HS_NY 4
 
@@ -51,7 +52,7 @@ static int hs_step(const double *x, const double *u, const double *p, double *xn
   y[0] = xn[0];
   y[1] = xn[1];
   y[2] = u[0];
-  y[3] = sqrt(p[1]) * xn[0] + 10 * u[1];
+  y[3] = sqrt(p[1]) * xn[0] + 10 * u[1] + u[4];
   return y[3] != y[3];
 }
 

@@ -73,9 +73,14 @@ def test_variables_as_published(driven, self_contained):
 
 def test_all_problems_of_a_cycle_at_once(kit, tmp_path):
     bad = kit.cycle._replace(grade=np.zeros(3), v_request=np.full(60, np.nan), grade_distance=(np.array([1.0, 1.0]), np.zeros(2)))
-    with pytest.raises(InputError) as error:
-        build_fmu(kit.model, kit.code, tmp_path / "x.fmu", fmi=2, step_size=0.0, cycle=bad)
-    assert len(error.value.problems) == 4
+    with pytest.raises(InputError, match=r"did you mean 'body\.a_max'") as error:
+        build_fmu(kit.model, kit.code, tmp_path / "x.fmu", fmi=2, step_size=0.0, cycle=bad, values={"body.amax": 1.0})
+    assert len(error.value.problems) == 5
+
+
+def test_values_replace_those_of_the_step(kit, tmp_path):
+    path = build_fmu(kit.model, kit.code, tmp_path / "x.fmu", fmi=3, values={"body.a_max": 0.5})
+    assert fmpy.simulate_fmu(str(path), stop_time=1.0, start_values={"v_request": 3.0}, output=["body.v"])[-1][1] == 0.5
 
 
 def test_place_that_cannot_be_written(kit, tmp_path):
