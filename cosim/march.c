@@ -17,7 +17,7 @@ enum { HYBRID, REFINED, ITERATION };
 #define HS_TRIALS 24
 
 typedef struct {
-  const double *x, *p;
+  const double *x, *p, *q;
   double *u, *xn, *y;
   long evaluations;
   int failed;
@@ -28,7 +28,7 @@ typedef struct {
 /* Shortfall of the end speed when `v` is asked for. */
 static double shortfall(trial *t, double v) {
   t->u[0] = v;
-  t->failed |= hs_step(t->x, t->u, t->p, t->xn, t->y);
+  t->failed |= hs_step_prepared(t->x, t->u, t->p, t->q, t->xn, t->y);
   ++t->evaluations;
   return v - t->xn[HS_X_V];
 }
@@ -98,10 +98,11 @@ static double grade_at(double s, long n, const double *distance, const double *g
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
                         const double *grade_distance, const double *grade_value, const double *p, double *x, double *history,
                         double *sums, double *highest, int mode, long *evaluations) {
-  double state[2][HS_NX], decided[HS_NX], row[HS_NY], u[HS_NU];
+  double state[2][HS_NX], decided[HS_NX], row[HS_NY], u[HS_NU], q[HS_NQ];
   double *now = state[0], *next = state[1];
-  trial t = {0, p, u, 0, 0, 0, 0, 0, 1};
+  trial t = {0, p, q, u, 0, 0, 0, 0, 0, 1};
   long k;
+  hs_prepare(p, q);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
   for (int i = 0; i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {

@@ -1,88 +1,186 @@
 """From a step to C: one self-contained piece of C99, everything static, that any shell can include.
 
-It defines ``HS_NX``, ``HS_NU``, ``HS_NP``, ``HS_NY`` and::
+It defines ``HS_NX``, ``HS_NU``, ``HS_NP``, ``HS_NQ``, ``HS_NY`` and::
 
-    static int  hs_step(const double *x, const double *u, const double *p, double *xn, double *y);
     static void hs_start(const double *p, double *x);
+    static void hs_prepare(const double *p, double *q);
+    static int  hs_step_prepared(const double *x, const double *u, const double *p, const double *q, double *xn, double *y);
+    static int  hs_step(const double *x, const double *u, const double *p, double *xn, double *y);
 
-``hs_step`` returns nonzero when an input or a result is not a number.  Tables stand before the step in the same unit,
-so the compiler inlines their searches.
+``q`` holds what depends on parameters only, computed once for many steps.  A step returns nonzero when an input or a
+result is not a number.
+
+The C is written from the expression graph, one line a node, in the order and with the operations of CasADi's virtual
+machine, so both give the same bits as long as the compiler does not contract (``-ffp-contract=off``).  Equal nodes are
+computed once; tables with an axis in common share its search.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
+import numpy as np
 
 from halfshaft.fmu_build.compiler import shared_library
-from halfshaft.library.tables import Table
+from halfshaft.library.tables import Table, axis_source, clip_source, external_source, values_source
 from halfshaft.models.assembly import Step
 
 _PRELUDE = """#include <math.h>
-#ifndef casadi_int
-#define casadi_int long long int
-#endif
+static inline double hs_min(double a, double b) { return a < b ? a : b; }
+static inline double hs_max(double a, double b) { return a > b ? a : b; }
+static inline double hs_sign(double a) { return a < 0 ? -1 : a > 0 ? 1 : a; }
 """
 
-_STEP = """
-#define HS_NX {nx}
-#define HS_NU {nu}
-#define HS_NP {np}
-#define HS_NY {ny}
-
-static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {{
-  const double *arg[{sz_arg}];
-  double *res[{sz_res}];
-  double w[{sz_w}];
-  casadi_int iw[{sz_iw}];
-  arg[0] = x; arg[1] = u; arg[2] = p;
-  res[0] = xn; res[1] = y;
-  if ({name}_step(arg, res, iw, w, 0)) return 1;
-  double check = 0;
-  for (int i = 0; i < HS_NX; ++i) check += xn[i] * 0;
-  for (int i = 0; i < HS_NU; ++i) check += u[i] * 0;
-  return check != check;
-}}
-
-static void hs_start(const double *p, double *x) {{
-  const double *arg[{start_arg}];
-  double *res[{start_res}];
-  double w[{start_w}];
-  casadi_int iw[{start_iw}];
-  arg[0] = p;
-  res[0] = x;
-  {name}_start(arg, res, iw, w, 0);
-}}
-"""
+#: C of each operation; those in `_FLAGS` give 0 or 1.
+_OPERATIONS = {
+    ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}", ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2. * {0}", ca.OP_INV: "1. / {0}", ca.OP_SQRT: "sqrt({0})", ca.OP_FABS: "fabs({0})",
+    ca.OP_FMIN: "hs_min({0}, {1})", ca.OP_FMAX: "hs_max({0}, {1})", ca.OP_SIGN: "hs_sign({0})", ca.OP_EXP: "exp({0})",
+    ca.OP_LOG: "log({0})", ca.OP_POW: "pow({0}, {1})", ca.OP_CONSTPOW: "pow({0}, {1})", ca.OP_TANH: "tanh({0})", ca.OP_SIN: "sin({0})",
+    ca.OP_COS: "cos({0})", ca.OP_ATAN: "atan({0})", ca.OP_FLOOR: "floor({0})", ca.OP_CEIL: "ceil({0})", ca.OP_FMOD: "fmod({0}, {1})",
+    ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0.", ca.OP_ASSIGN: "{0}",
+}  # fmt: skip
+_FLAGS = {
+    ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_NE: "{0} != {1}",
+    ca.OP_NOT: "!{0}", ca.OP_AND: "{0} && {1}", ca.OP_OR: "{0} || {1}",
+}  # fmt: skip
 
 
-def table_library(named: Mapping[str, Table]) -> str:
-    """Return C that exports tables in CasADi's calling convention."""
-    head = _PRELUDE + '#define TABLE_META\n#define TABLE_EXPORT __attribute__((visibility("default")))\n'
-    return head + "\n".join(t.c_source(name) for name, t in named.items())
+class _Writer:
+    """Writes the nodes of expressions as C; `parameters` are those from which prepared values are made."""
+
+    def __init__(self, symbols: Mapping[str, ca.SX], tables: Mapping[str, Table], axes: dict[bytes, str]) -> None:
+        self.tables, self.axes = tables, axes
+        self.names = {vector[i].element_hash(): f"{name}[{i}]" for name, vector in symbols.items() for i in range(vector.numel())}
+        self.known: dict[str, str] = {}
+        self.prepared: list[str] = []
+        self.lines: list[str] = []
+        self.only_p: dict[str, bool] = {}
+        self.flags: set[str] = set()
+        self.negated: dict[str, str] = {}
+        self.chosen: dict[str, tuple[str, str]] = {}
+
+    def write(self, expressions: ca.SX) -> list[str]:
+        """Write what the expressions need; return their names."""
+        return [self._node(expressions[i]) for i in range(expressions.numel())]
+
+    def _node(self, root: ca.SX) -> str:
+        stack = [root]
+        while stack:
+            node = stack[-1]
+            key = node.element_hash()
+            if key in self.names:
+                stack.pop()
+                continue
+            parts = [node.dep(i) for i in range(node.n_dep())]
+            missing = [d for d in parts if d.element_hash() not in self.names]
+            if missing:
+                stack.extend(missing)
+                continue
+            self.names[key] = self._define(node, [self.names[d.element_hash()] for d in parts])
+            stack.pop()
+        return self.names[root.element_hash()]
+
+    def _define(self, node: ca.SX, parts: list[str]) -> str:
+        if node.is_constant():
+            value = float(node)
+            return f"({value.hex()})" if np.isfinite(value) else ("NAN" if np.isnan(value) else "HUGE_VAL" if value > 0 else "(-HUGE_VAL)")
+        if node.is_output():
+            return parts[0]
+        if node.is_call():
+            return self._call(node.which_function().name(), parts)
+        op = node.op()
+        if op == ca.OP_ADD:
+            # A choice is the sum of two that are zero where the other counts.
+            one, other = (self.chosen.get(p) for p in parts)
+            if one and other and self.negated.get(other[0]) == one[0]:
+                return self._line(f"{one[0]} ? {one[1]} : {other[1]}", parts)
+        if op in _FLAGS:
+            name = self._line(_FLAGS[op].format(*parts), parts, "int")
+            self.flags.add(name)
+            if op == ca.OP_NOT:
+                self.negated[name] = parts[0]
+            return name
+        name = self._line(_OPERATIONS[op].format(*parts), parts)
+        if op == ca.OP_IF_ELSE_ZERO:
+            self.chosen[name] = (parts[0], parts[1])
+        return name
+
+    def _line(self, c: str, parts: Sequence[str], kind: str = "double") -> str:
+        if c in self.known:
+            return self.known[c]
+        only_p = all(p.startswith(("p[", "(", "q")) or self.only_p.get(p, False) for p in parts)
+        lines = self.prepared if only_p else self.lines
+        name = f"{'c' if only_p else 't'}{len(self.known)}"
+        lines.append(f"  const {kind} {name} = {c};")
+        self.known[c] = name
+        self.only_p[name] = only_p
+        return name
+
+    def _call(self, function: str, parts: list[str]) -> str:
+        table, places = self.tables[function], []
+        for i in table.live:
+            points, x = table.points[i], parts[i]
+            axis = self.axes[points.tobytes()]
+            if table.clip:
+                x = self._line(clip_source(x, points), [x])
+            interval = self._line(f"{axis}_find({x})", [x], "int")
+            fraction = self._line(f"({x} - {axis}_x[{interval}]) * {axis}_s[{interval}]", [x, interval])
+            places += [interval, fraction]
+        return self._line(f"{function}_at({''.join(f'{p}, ' for p in places)}0)", places)
 
 
 def compiled_tables(named: Mapping[str, Table]) -> dict[str, ca.Function]:
     """Return tables as compiled functions, from the user's cache of libraries."""
     if not named:
         return {}
-    library = str(shared_library(table_library(named), "tables"))
+    head = '#include <math.h>\n#define casadi_int long long int\n#define TABLE_EXPORT __attribute__((visibility("default")))\n'
+    source = head + "\n".join(external_source(name, t) for name, t in named.items())
+    library = str(shared_library(source, "tables"))
     return {name: ca.external(name, library) for name in named}
 
 
 def step_code(step: Step) -> str:
     """Return the C of a step."""
-    generator = ca.CodeGenerator(f"{step.name}.c", {"with_header": False, "mex": False, "main": False})
-    generator.add(step.function)
-    generator.add(step.start)
-    tables = "\n".join(t.c_source(name) for name, t in step.tables.items())
-    sizes = {
-        "nx": len(step.states), "nu": len(step.requests), "np": len(step.parameters), "ny": len(step.outputs), "name": step.name,
-        "sz_arg": step.function.sz_arg(), "sz_res": step.function.sz_res(),
-        "sz_w": step.function.sz_w() + 1, "sz_iw": step.function.sz_iw() + 1,
-        "start_arg": step.start.sz_arg(), "start_res": step.start.sz_res(),
-        "start_w": step.start.sz_w() + 1, "start_iw": step.start.sz_iw() + 1,
-    }  # fmt: skip
-    head = _PRELUDE + "#define TABLE_EXPORT static inline\n#define CASADI_SYMBOL_EXPORT static\n"
-    return head + tables + "\n" + generator.dump() + _STEP.format(**sizes)
+    points = {t.points[i].tobytes(): t.points[i] for t in step.tables.values() for i in t.live}
+    axes = {key: f"axis_{n}" for n, key in enumerate(points)}
+    x, u, p = (ca.SX.sym(name, step.function.size1_in(i)) for i, name in enumerate("xup"))
+    following, outputs = step.function.call([x, u, p])
+    writer = _Writer({"x": x, "u": u, "p": p}, step.tables, axes)
+    next_names, output_names = writer.write(following), writer.write(outputs)
+    starter = _Writer({"p": p}, step.tables, axes)
+    first_names = starter.write(step.start.call([p])[0])
+
+    body = "\n".join(writer.lines)
+    kept = [n for n, only_p in writer.only_p.items() if only_p and (_uses(body, n) or n in next_names or n in output_names)]
+    unpack = [f"  const {'int' if n in writer.flags else 'double'} {n} = q[{i}];" for i, n in enumerate(kept)]
+    parts = [
+        _PRELUDE,
+        *(axis_source(axes[key], x) for key, x in points.items()),
+        *(values_source(name, t) for name, t in step.tables.items()),
+        f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters)}",
+        f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
+        "static void hs_start(const double *p, double *x) {", *starter.prepared, *_stores("x", first_names), "}\n",
+        "static void hs_prepare(const double *p, double *q) {", *writer.prepared, *_stores("q", kept), "}\n",
+        "static int hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
+        "                            const double *restrict q, double *restrict xn, double *restrict y) {",
+        *unpack, body, *_stores("xn", next_names), *_stores("y", output_names),
+        "  double check = 0;",
+        "  for (int i = 0; i < HS_NX; ++i) check += xn[i] * 0;",
+        "  for (int i = 0; i < HS_NU; ++i) check += u[i] * 0;",
+        "  return check != check;\n}\n",
+        "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
+        "  double q[HS_NQ];",
+        "  hs_prepare(p, q);",
+        "  return hs_step_prepared(x, u, p, q, xn, y);\n}\n",
+    ]  # fmt: skip
+    return "\n".join(parts)
+
+
+def _stores(vector: str, names: Sequence[str]) -> list[str]:
+    return [f"  {vector}[{i}] = {name};" for i, name in enumerate(names)]
+
+
+def _uses(body: str, name: str) -> bool:
+    return any(f"{name}{end}" in body for end in (" ", ";", ",", ")", "]"))

@@ -35,6 +35,8 @@ TEMPERATURE, CHARGE = Axis("T", "K"), Axis("soc", "1")
 
 #: A pack counts as full from here on.
 SOC_FULL = 0.999
+#: Square of the least root of (2) over U_oc; its slope stays finite at the largest power, and beyond.
+ROOT_FLOOR = 1e-12
 #: Specific heat of the cooling air [J/(kg.K)].
 C_AIR = 1009.0
 
@@ -71,7 +73,7 @@ class Circuit(NamedTuple):
 
     def current(self, P: Expr) -> Expr:
         """Return the current that gives a terminal power, equation (2) [A]."""
-        return 2 * P / (self.U_oc + ca.sqrt(ca.fmax(self.U_oc**2 - 4 * self.R * P, 0)))
+        return 2 * P / (self.U_oc + ca.sqrt(ca.fmax(self.U_oc**2 - 4 * self.R * P, ROOT_FLOOR * self.U_oc**2)))
 
 
 class Limits(NamedTuple):

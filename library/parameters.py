@@ -30,10 +30,14 @@ class Spec(NamedTuple):
     clip: bool = True
     row: bool = False
 
+    def shown(self, value: float) -> str:
+        """Return a number with its unit, if it has one."""
+        return f"{value:g}" if self.unit == "1" else f"{value:g} {self.unit}"
+
     def allowed(self) -> str:
         """Return the bounds in words, such as ``> 0 kg``; empty without bounds."""
         pairs = ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
-        return " and ".join(f"{sign} {bound:g} {self.unit}" for sign, bound in pairs if bound is not None)
+        return " and ".join(f"{sign} {self.shown(bound)}" for sign, bound in pairs if bound is not None)
 
     def holds(self, value: float) -> bool:
         """Return whether a number lies inside the bounds; NaN and infinity never do."""
@@ -83,7 +87,7 @@ class Parameters:
                 numbers = list(value) if spec.row else [value]
             bad = [x for x in numbers if isinstance(x, int | float) and not spec.holds(x)]
             if bad:
-                problems.append(f"{f.name} = {bad[0]:g} {spec.unit}, must be {spec.allowed() or 'a finite number'}")
+                problems.append(f"{f.name} = {spec.shown(bad[0])}, must be {spec.allowed() or 'a finite number'}")
         problems.extend(self.check())
         if problems:
             raise InputError(type(self).__name__, problems)

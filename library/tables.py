@@ -30,6 +30,11 @@ def _grid(points: Any) -> tuple[npt.NDArray[np.float64], ...]:
     return tuple(np.atleast_1d(np.asarray(x, dtype=float)) for x in points)
 
 
+def _clipped(x: ca.MX, lowest: float, highest: float) -> ca.MX:
+    # By comparisons: fmin and fmax would turn what is not a number into an edge.
+    return ca.if_else(x < lowest, lowest, ca.if_else(x > highest, highest, x))
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """Piecewise linear function of one to three variables.
@@ -65,6 +70,8 @@ class Table:
         if array.shape != shape:
             raise ValueError(f"values have shape {array.shape}, the axes ask for {shape}")
         for i, x in enumerate(axes, 1):
+            if not len(x):
+                raise ValueError(f"axis {i} has no points")
             if not np.all(np.isfinite(x)):
                 raise ValueError(f"axis {i} has a missing value")
             if np.any(np.diff(x) <= 0):
@@ -94,18 +101,19 @@ class Table:
     def interpolant(self) -> ca.Function:
         """The table as a function on the virtual machine; needs no compiler."""
         x = ca.MX.sym("x", len(self.points))
-        keep = [i for i, p in enumerate(self.points) if len(p) > 1]
+        keep = self.live
         if not keep:
             return ca.Function(self.name, [x], [ca.MX(float(self.values.flat[0]))], {"never_inline": True})
-        arguments = [ca.fmin(ca.fmax(x[i], self.points[i][0]), self.points[i][-1]) if self.clip else x[i] for i in keep]
+        arguments = [_clipped(x[i], *self.inside(i)) if self.clip else x[i] for i in keep]
         grid = [self.points[i].tolist() for i in keep]
         values = self.values.reshape([len(g) for g in grid]).ravel(order="F").tolist()
         lookup = ca.interpolant(f"{self.name}_lookup", "linear", grid, values)
         return ca.Function(self.name, [x], [lookup(ca.vertcat(*arguments))], {"never_inline": True})
 
-    def c_source(self, name: str) -> str:
-        """Return C that defines ``name`` and its derivative ``jac_name`` in CasADi's calling convention."""
-        return _c_source(self, name)
+    @property
+    def live(self) -> list[int]:
+        """Axes of more than one point; only they need a search."""
+        return [i for i, p in enumerate(self.points) if len(p) > 1]
 
 
 @dataclass(frozen=True)
@@ -143,8 +151,11 @@ def _numbers(values: npt.ArrayLike) -> str:
     return "{" + ", ".join(float(v).hex() if np.isfinite(v) else "NAN" for v in np.asarray(values, dtype=float).flat) + "}"
 
 
-def _axis_source(name: str, points: npt.NDArray[np.float64]) -> str:
-    """Return C that finds the interval of an axis with at least two points."""
+def axis_source(name: str, points: npt.NDArray[np.float64]) -> str:
+    """Return C of an axis of at least two points: ``name_find(x)`` gives the interval of a number.
+
+    A small index over equal bins tells where to start; one or two comparisons finish the search.
+    """
     bins = 4 * len(points)
     edges = points[0] + (points[-1] - points[0]) * np.arange(bins) / bins
     # Rounding may put a number just below an edge into the bin above it: start a hair early.
@@ -161,59 +172,71 @@ static inline int {name}_find(double x) {{
 }}"""
 
 
-def _c_source(table: Table, name: str) -> str:
-    n = len(table.points)
-    live = [i for i in range(n) if len(table.points[i]) > 1]
-    strides = [int(np.prod(table.values.shape[i + 1 :])) for i in range(n)]
-    lines = [_axis_source(f"{name}_{i}", table.points[i]) for i in live]
-    lines.append(f"static const double {name}_y[] = {_numbers(table.values)};")
-    corner = [(c, " + ".join(f"{strides[i]}" for i, bit in zip(live, c, strict=True) if bit) or "0") for c in product((0, 1), repeat=len(live))]
-    body = [f"static inline double {name}_value(const double *x, double *d) {{"]
-    for i in live:
-        lo, hi = table.inside(i)
-        body.append(f"  double x{i} = x[{i}];")
-        if table.clip:
-            body.append(f"  int in{i} = x{i} >= {lo.hex()} && x{i} <= {hi.hex()};")
-            body.append(f"  x{i} = x{i} < {lo.hex()} ? {lo.hex()} : x{i} > {hi.hex()} ? {hi.hex()} : x{i};")
-        body.append(f"  int i{i} = {name}_{i}_find(x{i});")
-        body.append(f"  double t{i} = (x{i} - {name}_{i}_x[i{i}]) * {name}_{i}_s[i{i}];")
+def clip_source(x: str, points: npt.NDArray[np.float64]) -> str:
+    """Return C that moves `x` to the ends of an axis; what is not a number stays so."""
+    low, high = float(points[0]).hex(), float(points[-1]).hex()
+    return f"{x} < {low} ? {low} : {x} > {high} ? {high} : {x}"
+
+
+def values_source(name: str, table: Table) -> str:
+    """Return C of ``name_at(i, t, ..., d)``: the value at interval and fraction of each axis, and the slopes in `d`.
+
+    Axes of one point take no arguments.  `d`, unless null, gets the derivatives by the fractions.
+    """
+    live = table.live
+    strides = [int(np.prod(table.values.shape[i + 1 :])) for i in range(len(table.points))]
+    arguments = ", ".join(f"int i{i}, double t{i}" for i in live)
     offset = " + ".join(f"i{i} * {strides[i]}" for i in live) or "0"
+    body = [f"static const double {name}_y[] = {_numbers(table.values)};"]
+    body.append(f"static inline double {name}_at({arguments + ', ' if live else ''}double *d) {{")
     body.append(f"  const double *y = {name}_y + {offset};")
-    for c, o in corner:
-        body.append(f"  double v{''.join(map(str, c))} = y[{o}];")
+    level: dict[tuple[int, ...], str] = {}
+    for corner in product((0, 1), repeat=len(live)):
+        level[corner] = f"v{''.join(map(str, corner))}"
+        at = " + ".join(str(strides[i]) for i, bit in zip(live, corner, strict=True) if bit) or "0"
+        body.append(f"  double {level[corner]} = y[{at}];")
     # Interpolate along the first axis, then the next; each round halves the corners.
-    level = {c: f"v{''.join(map(str, c))}" for c, _ in corner}
-    derivatives: dict[int, dict[tuple[int, ...], str]] = {}
+    slopes: dict[int, dict[tuple[int, ...], str]] = {}
     for k, i in enumerate(live):
-        nxt: dict[tuple[int, ...], str] = {}
-        slopes: dict[tuple[int, ...], str] = {}
-        moved: dict[int, dict[tuple[int, ...], str]] = {j: {} for j in derivatives}
+        values, own = {}, {}
+        moved: dict[int, dict[tuple[int, ...], str]] = {j: {} for j in slopes}
         for rest in product((0, 1), repeat=len(live) - k - 1):
-            a, b = (0, *rest), (1, *rest)
-            tag = f"{k}_{''.join(map(str, rest))}"
-            body.append(f"  double m{tag} = {level[b]} - {level[a]};")
-            body.append(f"  double l{tag} = {level[a]} + t{i} * m{tag};")
-            nxt[rest] = f"l{tag}"
-            slopes[rest] = f"m{tag}"
-            for j, known in derivatives.items():
-                moved[j][rest] = f"({known[a]} + t{i} * ({known[b]} - {known[a]}))"
-        level, derivatives = nxt, {**moved, i: slopes}
-    inside = {i: f"in{i} ? " if table.clip else "" for i in live}
-    gradient = [
-        f"d[{i}] = {inside[i]}{derivatives[i][()]} * {name}_{i}_s[i{i}]{' : 0.0' if table.clip else ''};" if i in live else f"d[{i}] = 0.0;"
-        for i in range(n)
-    ]
-    body.append(f"  if (d) {{ {' '.join(gradient)} }}")
+            low, high, tag = (0, *rest), (1, *rest), f"{k}_{''.join(map(str, rest))}"
+            body.append(f"  double m{tag} = {level[high]} - {level[low]};")
+            body.append(f"  double l{tag} = {level[low]} + t{i} * m{tag};")
+            values[rest], own[rest] = f"l{tag}", f"m{tag}"
+            for j, known in slopes.items():
+                moved[j][rest] = f"({known[low]} + t{i} * ({known[high]} - {known[low]}))"
+        level, slopes = values, {**moved, i: own}
+    gradient = " ".join(f"d[{i}] = {slopes[i][()]};" for i in live)
+    body.append(f"  if (d) {{ {gradient} }}")
     body.append(f"  return {level[()]};\n}}")
-    return "\n".join([*lines, *body, _CALL.format(name=name, n=n)])
+    return "\n".join(body)
 
 
-_CALL = """
+def external_source(name: str, table: Table) -> str:
+    """Return C that exports ``name`` and its derivative ``jac_name`` in CasADi's calling convention."""
+    lines = [axis_source(f"{name}_{i}", table.points[i]) for i in table.live]
+    lines.append(values_source(name, table))
+    lines.append(f"static double {name}_value(const double *x, double *d) {{")
+    lines.append(f"  for (int i = 0; d && i < {len(table.points)}; ++i) d[i] = 0;")
+    for i in table.live:
+        lines.append(f"  double x{i} = {clip_source(f'x[{i}]', table.points[i]) if table.clip else f'x[{i}]'};")
+        lines.append(f"  int i{i} = {name}_{i}_find(x{i});")
+        lines.append(f"  double t{i} = (x{i} - {name}_{i}_x[i{i}]) * {name}_{i}_s[i{i}];")
+    lines.append(f"  double y = {name}_at({''.join(f'i{i}, t{i}, ' for i in table.live)}d);")
+    for i in table.live:
+        inside = f"x{i} != x[{i}] ? 0 : " if table.clip else ""
+        lines.append(f"  if (d) d[{i}] = {inside}d[{i}] * {name}_{i}_s[i{i}];")
+    lines.append("  return y;\n}")
+    return "\n".join([*lines, _EXTERNAL.format(name=name, n=len(table.points))])
+
+
+_EXTERNAL = """
 TABLE_EXPORT int {name}(const double **arg, double **res, casadi_int *iw, double *w, int mem) {{
   if (res[0]) res[0][0] = {name}_value(arg[0], 0);
   return 0;
 }}
-#ifdef TABLE_META
 TABLE_EXPORT int jac_{name}(const double **arg, double **res, casadi_int *iw, double *w, int mem) {{
   if (res[0]) {name}_value(arg[0], res[0]);
   return 0;
@@ -227,5 +250,4 @@ TABLE_EXPORT casadi_int jac_{name}_n_in(void) {{ return 2; }}
 TABLE_EXPORT casadi_int jac_{name}_n_out(void) {{ return 1; }}
 TABLE_EXPORT const casadi_int *jac_{name}_sparsity_in(casadi_int i) {{ return i ? {name}_out : {name}_in; }}
 TABLE_EXPORT const casadi_int *jac_{name}_sparsity_out(casadi_int i) {{ return {name}_jac; }}
-#endif
 """

@@ -1,0 +1,160 @@
+"""Draws the paper's figures from our runs, on the paper's axes, for a light or a dark page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from halfshaft.cosim.acceleration import T_START
+from halfshaft.cosim.compiled import Array
+from halfshaft.cosim.result import Result
+
+
+class Theme(NamedTuple):
+    """Colours of a page."""
+
+    paper: str
+    ink: str
+    faint: str
+    grid: str
+    curves: tuple[str, str, str, str]
+
+
+LIGHT = Theme("#ffffff", "#1c2430", "#5b6675", "#e3e7ec", ("#9aa4b1", "#d9772b", "#2a9d8f", "#1f5fa8"))
+DARK = Theme("#161b22", "#e6eaf0", "#9aa5b3", "#2b323c", ("#7d8896", "#f0a05a", "#4cc4b4", "#6cb0f5"))
+
+
+class Curve(NamedTuple):
+    """A line of a plot; `colour` is its place in the theme."""
+
+    label: str
+    x: Array
+    y: Array
+    colour: int
+    line: str = "-"
+    width: float = 1.8
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves over common axes; `ticks` are the steps of the axes."""
+
+    curves: Sequence[Curve]
+    x_label: str
+    y_label: str
+    x_end: float
+    y_end: float
+    ticks: tuple[float, float]
+    #: Names written beside curves: text, place, colour.
+    names: Sequence[tuple[str, float, float, int]] = ()
+    legend: str | tuple[float, float] | None = "best"
+
+
+#: One figure: its plots from top to bottom.
+Drawing = Sequence[Plot]
+
+
+def acceleration_drawings(r: Result) -> dict[str, Drawing]:
+    """Return figures 2, 3, 5, 6 and 7 from the acceleration of a vehicle whose motor has a current limit."""
+    t, kmh = r.time, 3.6
+
+    def plot(y_label: str, y_end: float, step: float, legend: str | tuple[float, float], *curves: Curve) -> Drawing:
+        return [Plot(curves, "time (s)", y_label, 50, y_end, (10, step), legend=legend)]
+
+    return {
+        "2": plot(
+            "tractive force (N)", 2.5e4, 5e3, "upper right",
+            Curve(r"$F_\mathrm{req}\,/\,100$", t, r["body.F_required"] / 100, 1),
+            Curve(r"$F_\mathrm{req,lim}$", t, r["wheel.F_limited"], 3),
+        ),
+        "3": plot(
+            "vehicle speed (km/h)", 350, 50, (0.56, 0.69),
+            Curve(r"$v_\mathrm{trace}$", t, r["body.v_request"] * kmh, 0),
+            Curve(r"$v_\mathrm{req}$", t, r["wheel.v_required"] * kmh, 1),
+            Curve(r"$v_\mathrm{lim,req}$", t, r["wheel.v_limited"] * kmh, 2, "--"),
+            Curve(r"$v_\mathrm{act}$", t, r["body.v"] * kmh, 3),
+        ),
+        "5": plot(
+            "motor torque (N m)", 700, 100, "center right",
+            Curve(r"$\tau_\mathrm{mot,req}$", t, r["motor.tau_required"], 1),
+            Curve(r"$\tau_\mathrm{mot,lim,req}$", t, r["motor.tau_limited"], 3),
+        ),
+        "6": plot(
+            "motor speed (rad/s)", 1000, 200, "lower right",
+            Curve(r"$\omega_\mathrm{mot,req}$", t, r["motor.omega_required"], 1),
+            Curve(r"$\omega_\mathrm{mot,lim,req}$", t, r["motor.omega"], 3),
+        ),
+        "7": plot(
+            "motor/controller input power (W)", 7e4, 1e4, "lower right",
+            Curve(r"$P_\mathrm{mot,in,map}$", t, r["motor.P_map"], 1),
+            Curve(r"$P_\mathrm{mot,in,req}$", t, r["motor.P_in_required"], 3),
+        ),
+    }  # fmt: skip
+
+
+def speeds_drawing(hybrid: Mapping[str, Result], iteration: Mapping[str, Result]) -> Drawing:
+    """Return figure 9: speeds over the time since the start, by vehicle."""
+    curves, names = [], []
+    for i, (name, r) in enumerate(hybrid.items()):
+        for method, run, colour, line, width in (("hybrid", r, 3, "-", 2.2), ("iteration", iteration[name], 1, (0, (4, 3)), 1.5)):
+            t, v = np.append(0.0, run.time - T_START), np.append(0.0, run["body.v"] * 3.6)
+            shown = (t >= 0) & (v <= 104)
+            curves.append(Curve(method if i == 0 else "", t[shown], v[shown], colour, line, width))  # type: ignore[arg-type]
+        names.append((name, float(np.interp(88 / 3.6, r["body.v"], r.time)) - T_START + 0.6, 86.0, 3))
+    return [Plot(curves, "time (s)", "speed (km/h)", 25, 100, (5, 20), names, "upper left")]
+
+
+def deviations_drawing(runs: Mapping[str, Result]) -> Drawing:
+    """Return figure 10: how far each vehicle falls behind the trace."""
+    last = len(runs) - 1
+    return [
+        Plot(
+            [Curve("", r.time, np.maximum(r["body.trace_miss"], 0) * 3.6, 3, width=1.3)],
+            "time (s)" if i == last else "", "speed (km/h)", 600, 20, (100, 10), [(name, 8, 15.5, -1)], None,
+        )
+        for i, (name, r) in enumerate(runs.items())
+    ]  # fmt: skip
+
+
+def _draw(ax: Axes, plot: Plot, theme: Theme) -> None:
+    for c in plot.curves:
+        ax.plot(c.x, c.y, color=theme.curves[c.colour], linestyle=c.line, linewidth=c.width, label=c.label, solid_joinstyle="round")
+    ax.set_xlim(0, plot.x_end)
+    ax.set_ylim(0, plot.y_end)
+    ax.set_xticks(np.arange(0, plot.x_end * 1.001, plot.ticks[0]))
+    ax.set_yticks(np.arange(0, plot.y_end * 1.001, plot.ticks[1]))
+    if plot.y_end >= 1e4:
+        ax.ticklabel_format(axis="y", style="sci", scilimits=(4, 4), useMathText=True)
+        ax.yaxis.get_offset_text().set(color=theme.faint, fontsize=9)
+    ax.set_xlabel(plot.x_label, color=theme.ink)
+    ax.set_ylabel(plot.y_label, color=theme.ink)
+    ax.set_facecolor(theme.paper)
+    ax.grid(color=theme.grid, linewidth=0.8)
+    ax.set_axisbelow(True)
+    ax.tick_params(colors=theme.faint, length=0, labelsize=9)
+    for side, spine in ax.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(theme.grid)
+    for text, x, y, colour in plot.names:
+        ax.text(x, y, text, color=theme.ink if colour < 0 else theme.curves[colour], fontsize=9, va="center")
+    if plot.legend:
+        ax.legend(loc=plot.legend, frameon=False, labelcolor=theme.ink, fontsize=10, handlelength=1.8, ncols=2 if len(plot.curves) == 4 else 1)
+
+
+def png(drawing: Drawing, theme: Theme = LIGHT) -> bytes:
+    """Return a figure as a PNG."""
+    figure = Figure(figsize=(6.0, 3.7 if len(drawing) == 1 else 5.2), facecolor=theme.paper, layout="constrained")
+    for ax, plot in zip(np.atleast_1d(np.asarray(figure.subplots(len(drawing), 1))), drawing, strict=True):
+        _draw(ax, plot, theme)
+        if len(drawing) > 1 and not plot.x_label:
+            ax.set_xticklabels([])
+    buffer = BytesIO()
+    # Without the name of the drawing software the file depends on the data alone.
+    figure.savefig(buffer, format="png", dpi=180, metadata={"Software": None})
+    return buffer.getvalue()
