@@ -52,7 +52,9 @@ def time_to(result: Result, v: float) -> float | None:
     return float(time[i - 1] + share * (time[i] - time[i - 1])) - T_START
 
 
-def accelerate(vehicle: Vehicle, *, to: float = 100 / 3.6, mode: Mode = "hybrid", via: Via = "step", duration: float = 50.0) -> Acceleration:
+def accelerate(
+    vehicle: Vehicle, *, to: float = 100 / 3.6, mode: Mode = "hybrid", via: Via = "step", duration: float = 50.0
+) -> Acceleration:
     """Accelerate from rest as fast as the vehicle can.
 
     Parameters

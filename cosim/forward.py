@@ -22,7 +22,6 @@ from halfshaft.models.assembly import all_tables
 from halfshaft.models.forward import Plant, assemble_plant
 from halfshaft.models.model import Model
 
-
 #: Where a command jumps onto a kink of a table, IDAS may fail to start from the very solution; it then starts beside it [m/s^2].
 NUDGES = (0.01, -0.01, 0.1, -0.1, 0.5, -0.5)
 
@@ -58,7 +57,7 @@ class ForwardRun:
 class Forward:
     """The forward-facing model of a vehicle, ready to run."""
 
-    def __init__(self, model: Model, title: str = "", reltol: float = 1e-7, driver: Driver = Driver()) -> None:  # noqa: B008
+    def __init__(self, model: Model, title: str = "", reltol: float = 1e-7, driver: Driver = Driver()) -> None:
         self.stepper: Stepper = stepper(model, title)
         self.driver = driver
         tables = all_tables(model)
@@ -67,7 +66,14 @@ class Forward:
         except CompileError:
             functions = interpolants(tables)
         self.plant: Plant = assemble_plant(model, self.stepper.step, functions)
-        options = {"reltol": reltol, "abstol": reltol, "calc_ic": True, "suppress_algebraic": True, "quad_err_con": True, "max_num_steps": 100000}
+        options = {
+            "reltol": reltol,
+            "abstol": reltol,
+            "calc_ic": True,
+            "suppress_algebraic": True,
+            "quad_err_con": True,
+            "max_num_steps": 100000,
+        }
         self._advance = ca.integrator("advance", "idas", dict(self.plant.dae), 0, driver.dt, options)
         dae = self.plant.dae
         self._balance = ca.Function("balance", [dae["z"], dae["x"], dae["p"]], [dae["alg"]])
@@ -152,5 +158,3 @@ class Forward:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if float(self._balance(middle, x, p)) > 0 else (low, middle)
         return 0.5 * (low + high)
-
-

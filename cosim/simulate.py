@@ -121,7 +121,12 @@ def _integrals(step: Step, rows: Array, samples: Samples) -> dict[str, float]:
 
 
 def _result(
-    inputs: Inputs, outputs: tuple[Description, ...], samples: Samples, rows: Array, energies: Mapping[str, float], first: Mapping[str, float]
+    inputs: Inputs,
+    outputs: tuple[Description, ...],
+    samples: Samples,
+    rows: Array,
+    energies: Mapping[str, float],
+    first: Mapping[str, float],
 ) -> Result:
     names = [d.name for d in outputs]
     highest = dict(zip(names, rows.max(axis=0).tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0)
@@ -134,7 +139,11 @@ def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver 
     samples = cycle.sampled(driver.dt)
     parameters = parameters_of(vehicle, forward.stepper.step, samples.v_start)
     done = forward.run(samples, parameters)
-    outputs = (*forward.plant.shown, Description("body.v_request", "m/s", "requested speed"), Description("body.trace_miss", "m/s", "request less achieved speed"))
+    outputs = (
+        *forward.plant.shown,
+        Description("body.v_request", "m/s", "requested speed"),
+        Description("body.trace_miss", "m/s", "request less achieved speed"),
+    )
     v = done.history[:, [d.name for d in forward.plant.shown].index("body.v")]
     rows = np.column_stack([done.history, samples.v, samples.v - v])
     # Integrals that the integrator did not take are sums over the samples; the account uses only those that it took.

@@ -137,7 +137,8 @@ class Engine(Component):
         }
 
     @face(
-        "shaft", "throttle_engine", "tau_map", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation", "P_mismatch", "next_fuel_used"
+        "shaft", "throttle_engine", "tau_map", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation", "P_mismatch",
+        "next_fuel_used",
     )  # fmt: skip
     def available(
         self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr,
@@ -169,8 +170,8 @@ class Engine(Component):
 
     @plant("der_omega_engine", "der_fuel_used", "tau_map", "P_fuel", "P_loss", "P_kinetic")
     def flow(
-        self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr, clutch_open: Expr,
-        turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
+        self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
+        clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the engine's motion in continuous time.
 

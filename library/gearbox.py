@@ -69,9 +69,7 @@ class PolynomialGearboxParameters(GearboxParameters):
 class MapGearboxParameters(GearboxParameters):
     """Efficiency of the output point."""
 
-    efficiency: Table = table(
-        "1", "efficiency", Axis("omega", "rad/s"), Axis("tau", "N.m"), Axis("gear", "1"), clip=True, ge=0, le=1
-    )
+    efficiency: Table = table("1", "efficiency", Axis("omega", "rad/s"), Axis("tau", "N.m"), Axis("gear", "1"), clip=True, ge=0, le=1)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
 
 

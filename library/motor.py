@@ -140,7 +140,9 @@ class Motor(TwoSided):
         return {"dc": power, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"], "_tau": tau, "_omega": shaft.omega, "_P": power.P}
 
     @plant("balance")
-    def drive(self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr) -> Mapping[str, Any]:
+    def drive(
+        self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr
+    ) -> Mapping[str, Any]:
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power or current end.
 
         The torque fades over the last half per cent below the top speed.

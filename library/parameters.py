@@ -50,17 +50,17 @@ class Spec(NamedTuple):
         )
 
 
-def param(unit: str, doc: str, default: Any = MISSING, **bounds: float) -> Any:
+def param(unit: str, doc: str, default: Any = MISSING, **bounds: Any) -> Any:
     """Declare a number in SI unit `unit` with its meaning and bounds (``gt``, ``ge``, ``lt``, ``le``)."""
     return field(default=default, metadata={"spec": Spec(unit, doc, **bounds)})
 
 
-def params(unit: str, doc: str, default: Any = MISSING, **bounds: float) -> Any:
+def params(unit: str, doc: str, default: Any = MISSING, **bounds: Any) -> Any:
     """Declare a row of numbers."""
     return field(default=default, metadata={"spec": Spec(unit, doc, row=True, **bounds)})
 
 
-def table(unit: str, doc: str, *axes: Axis, clip: bool, default: Any = MISSING, **bounds: float) -> Any:
+def table(unit: str, doc: str, *axes: Axis, clip: bool, default: Any = MISSING, **bounds: Any) -> Any:
     """Declare a map over `axes`; outside of them it is clipped to the edge or extrapolated linearly."""
     return field(default=default, metadata={"spec": Spec(unit, doc, axes=axes, clip=clip, **bounds)})
 

@@ -97,9 +97,9 @@ class SeriesControl(Component):
         *(f"next_part_{i}" for i in range(1, PARTS + 1)),
     )  # fmt: skip
     def control(
-        self, P_bus: Expr, soc: Expr, P_battery_max: Expr, P_battery_min: Expr, key_on: Expr, dt: Expr, engine: Engine, generator: Generator,
-        on_before: Expr, t_on: Expr, t_off: Expr, P_before: Expr, turned_before: Expr, part_time: Expr, part_energy: Expr,
-        part_1: Expr, part_2: Expr, part_3: Expr, part_4: Expr, part_5: Expr,
+        self, P_bus: Expr, soc: Expr, P_battery_max: Expr, P_battery_min: Expr, key_on: Expr, dt: Expr, engine: Engine,
+        generator: Generator, on_before: Expr, t_on: Expr, t_off: Expr, P_before: Expr, turned_before: Expr,
+        part_time: Expr, part_energy: Expr, part_1: Expr, part_2: Expr, part_3: Expr, part_4: Expr, part_5: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Decide for this step."""
         p, scale = self.p, engine.p.speed_scale * engine.p.torque_scale

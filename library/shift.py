@@ -88,7 +88,17 @@ class Shift(Component):
             ratio = where(gear >= i - 0.5, r, ratio)
         return ratio
 
-    @face("gear", "ratio", "shifting", "load", "omega_input_estimate", "next_gear_before", "next_gear_before_2", "next_gear_before_3", "next_t_since_shift")
+    @face(
+        "gear",
+        "ratio",
+        "shifting",
+        "load",
+        "omega_input_estimate",
+        "next_gear_before",
+        "next_gear_before_2",
+        "next_gear_before_3",
+        "next_t_since_shift",
+    )
     def control(
         self, tau_gearbox: Expr, omega_gearbox: Expr, slip_limited: Expr, trace_missed: Expr, torque_ratio: Expr,
         ratios: tuple[Expr, ...], tau_envelope: Callable[[Expr], Expr], dt: Expr,

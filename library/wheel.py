@@ -52,7 +52,9 @@ class WheelParameters(Parameters):
     def check(self) -> list[str]:
         """Return what is wrong between parameters."""
         driven = [x for x in (self.front_driven, self.rear_driven) if isinstance(x, int | float)]
-        return ["front_driven and rear_driven are both 0, at least one axle must be driven"] if sum(driven) == 0 and len(driven) == 2 else []
+        return (
+            ["front_driven and rear_driven are both 0, at least one axle must be driven"] if sum(driven) == 0 and len(driven) == 2 else []
+        )
 
 
 class Grip(NamedTuple):
@@ -161,7 +163,9 @@ class Wheel(Component):
         "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
         "next_omega_before", "_asked", "_grip", "_way",
     )  # fmt: skip
-    def required(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters, omega_before: Expr, turning: Turning) -> Mapping[str, Any]:
+    def required(
+        self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters, omega_before: Expr, turning: Turning
+    ) -> Mapping[str, Any]:
         """Return the axle point that the request needs, equations (1) and (2)."""
         grip = self.grip(tyre, v, grade, dt, body)
         split = self.split(grip.F, tyre.v)
@@ -226,7 +230,9 @@ class Wheel(Component):
         return front, ca.fmax(ca.fmin(0, F - front), -p.F_brake_rear_max)
 
     @plant("axle", "P_brake", "P_slip", "P_bearing", "P_kinetic")
-    def flow(self, tyre: Tyre, F_brake_front: Expr, F_brake_rear: Expr, grade: Expr, body: BodyParameters, turning: Turning) -> Mapping[str, Any]:
+    def flow(
+        self, tyre: Tyre, F_brake_front: Expr, F_brake_rear: Expr, grade: Expr, body: BodyParameters, turning: Turning
+    ) -> Mapping[str, Any]:
         """Return the axle point in continuous time; the friction brakes' forces are held, and fade at standstill."""
         p, moving = self.p, turning(tyre.v)
         front, rear = moving * F_brake_front, moving * F_brake_rear

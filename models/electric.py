@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
-from halfshaft.library.component import Component
 from halfshaft.models.model import Model
 
 
-def electric(parts: Mapping[str, Component]) -> Model:
+def electric(parts: Mapping[str, Any]) -> Model:
     """Return the model; parts are listed from the wheel to the source."""
     m = Model("electric", parts)
-    p = m.parts
+    p = parts
     m.connect(p["body"].tyre, p["wheel"].tyre)
     m.connect(p["wheel"].axle, p["final_drive"].output)
     m.connect(p["final_drive"].input, p["gearbox"].output)

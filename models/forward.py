@@ -10,8 +10,9 @@ so ``a`` is implicit and stays so.  There is one speed state for all that turns 
 engine.  The controls are those of the step, unchanged: they are sampled, and what the system reads of them is held
 between samples (`Plant.held`).
 
-Smooth here are two things that are switches in the step: whether something moves (over `V_SMOOTH`; the friction brakes
-fade with it), and whether a gearbox drives or brakes (over `TAU_SMOOTH`).  The slip's rate is neglected, as in the paper (its effect on 0-100 km/h is 0.1 %).
+Smooth here are two things that are switches in the step: whether something moves (over `V_SMOOTH`; the friction
+brakes fade with it), and whether a gearbox drives or brakes (over `TAU_SMOOTH`).  The slip's rate is
+neglected, as in the paper (its effect on 0-100 km/h is 0.1 %).
 """
 
 from __future__ import annotations
@@ -132,7 +133,12 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
     a, grade, key_on = ca.SX.sym("a"), ca.SX.sym("grade"), ca.SX.sym("key_on")
     held = {f"{key[1]}.{key[2]}": ca.SX.sym(name) for name, key in wiring.held.items()}
     known |= {key: held[f"{key[1]}.{key[2]}"] for key in wiring.held.values()}
-    known |= {("algebraic", "", "a"): a, ("request", "", "grade"): grade, ("request", "", "key_on"): key_on, ("law of the model", "", "turning"): plant_turning}
+    known |= {
+        ("algebraic", "", "a"): a,
+        ("request", "", "grade"): grade,
+        ("request", "", "key_on"): key_on,
+        ("law of the model", "", "turning"): plant_turning,
+    }
     known["law of the model", "", "direction"] = PlantDirection()
 
     values = wiring.evaluate(known)
@@ -149,7 +155,7 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
                     booked.append(described)
                     powers.append(values[key])
         for c in model.connections:
-            point = values.get(("required", c.supply, c.supply_port.name), values.get(("available", c.supply, c.supply_port.name)))
+            point: Any = values.get(("required", c.supply, c.supply_port.name), values.get(("available", c.supply, c.supply_port.name)))
             for field in SHOWN[c.supply_port.kind]:
                 if c.supply == name and field != "P":
                     shown.append((_described(step, f"{name}.{field}"), getattr(point, field)))

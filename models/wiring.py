@@ -173,11 +173,7 @@ class Wiring:
         values: dict[Key, Any] = {}
         waiting = dict(self.parts)
         while waiting:
-            ready = {
-                name: part
-                for name, part in waiting.items()
-                if all(self.bus[a] in values for a in arguments(part.start)[0])
-            }
+            ready = {name: part for name, part in waiting.items() if all(self.bus[a] in values for a in arguments(part.start)[0])}
             if not ready:
                 raise WiringError(self.model.name, [f"start values form a loop: {', '.join(waiting)}"])
             for name, part in ready.items():

@@ -106,7 +106,7 @@ def speeds_drawing(hybrid: Mapping[str, Result], iteration: Mapping[str, Result]
             t, v = np.append(0.0, run.time - T_START), np.append(0.0, run["body.v"] * 3.6)
             shown = (t >= 0) & (v <= 104)
             curves.append(Curve(method if i == 0 else "", t[shown], v[shown], colour, line, width))  # type: ignore[arg-type]
-        names.append((name, float(np.interp(88 / 3.6, r["body.v"], r.time)) - T_START + 0.6, 86.0, 3))
+        names.append((name, float(np.interp(96 / 3.6, r["body.v"], r.time)) - T_START + 0.5, 94.5, 3))
     return [Plot(curves, "time (s)", "speed (km/h)", 25, 100, (5, 20), names, "upper left")]
 
 

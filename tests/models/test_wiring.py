@@ -1,0 +1,235 @@
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from halfshaft.cosim.account import account
+from halfshaft.cosim.compiled import stepper
+from halfshaft.cosim.cycle import Cycle
+from halfshaft.cosim.forward import Forward
+from halfshaft.library.component import Component, TwoSided, Variable, drag, face, inertia
+from halfshaft.library.errors import WiringError
+from halfshaft.library.parameters import Parameters, param
+from halfshaft.library.ports import Electric, Port, Shaft
+from halfshaft.models.assembly import assemble
+from halfshaft.models.electric import electric
+from halfshaft.models.model import Model
+from halfshaft.models.vehicle import Vehicle
+
+PARTS = Vehicle.load("small-car-electric").components()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BearingParameters(Parameters):
+    """Drag and inertia of an intermediate shaft."""
+
+    tau: float = param("N.m", "drag torque", 0.0, ge=0)
+    J: float = param("kg.m^2", "inertia", 0.0, ge=0)
+
+
+@dataclass(frozen=True)
+class Bearing(TwoSided):
+    """A component that the package does not know."""
+
+    p: BearingParameters
+    parameters = BearingParameters
+    output = Port(Shaft, "wheel")
+    input = Port(Shaft, "source")
+
+    def chain(self, turning):
+        return drag(lambda shaft: self.p.tau * turning(shaft.omega)), inertia(self.p.J)
+
+
+def electric_with_bearing(bearing):
+    """Return the electric car with another part between gearbox and motor: parts and connections, no more."""
+    names = list(PARTS)
+    at = names.index("motor")
+    m = Model("bearing", {n: PARTS[n] for n in names[:at]} | {"bearing": bearing} | {n: PARTS[n] for n in names[at:]})
+    p = m.parts
+    m.connect(p["body"].tyre, p["wheel"].tyre)
+    m.connect(p["wheel"].axle, p["final_drive"].output)
+    m.connect(p["final_drive"].input, p["gearbox"].output)
+    m.connect(p["gearbox"].input, p["bearing"].output)
+    m.connect(p["bearing"].input, p["motor"].shaft)
+    m.connect(p["motor"].dc, p["accessories"].load)
+    m.connect(p["accessories"].supply, p["bus"].load)
+    m.connect(p["bus"].battery, p["battery"].dc)
+    return m
+
+
+def problems(make, *arguments):
+    with pytest.raises(WiringError) as e:
+        make(*arguments)
+    return list(e.value.problems)
+
+
+def test_every_misfit_is_named_in_one_error_with_both_ends():
+    m = electric(PARTS)
+    p = m.parts
+    m.connect(p["motor"].dc, p["gearbox"].output)
+    m.connect(p["motor"].shaft, p["gearbox"].output)
+    m.connect(p["bus"].battery, p["battery"].dc)
+    assert problems(assemble, m) == [
+        "cannot connect motor.dc (Electric) to gearbox.output (Shaft): the kinds differ",
+        "cannot connect motor.shaft (Shaft) to gearbox.output (Shaft): both ports look toward the wheel",
+        "cannot connect bus.battery (Electric) to battery.dc (Electric): bus.battery (Electric) is connected already",
+    ]
+
+
+def test_misfits_and_unknown_signals_come_together():
+    m = electric({n: part for n, part in PARTS.items() if n != "shift"})
+    m.connect(m.parts["motor"].dc, m.parts["gearbox"].output)
+    found = problems(assemble, m)
+    assert found[0].endswith("the kinds differ")
+    assert any("gearbox.required reads the signal ratio, which no part publishes" in problem for problem in found)
+
+
+def test_ports_that_are_left_open_are_named_but_for_optional_ones():
+    m = Model("open", {n: PARTS[n] for n in PARTS})
+    p = m.parts
+    m.connect(p["body"].tyre, p["wheel"].tyre)
+    found = [problem for problem in problems(assemble, m) if problem.endswith("is not connected")]
+    assert "wheel.axle (Shaft) is not connected" in found
+    assert "battery.dc (Electric) is not connected" in found
+    assert not any("bus.generator" in problem or "tyre" in problem for problem in found)
+
+
+def test_ends_may_be_named_in_either_order():
+    m = Model("order", PARTS)
+    m.connect(PARTS["wheel"].tyre, PARTS["body"].tyre)
+    (c,) = m.connections
+    assert (c.load, c.supply) == ("body", "wheel")
+
+
+def test_a_part_of_another_model_cannot_be_connected():
+    m = electric(PARTS)
+    stranger = Bearing(BearingParameters())
+    assert problems(m.connect, stranger.input, m.parts["motor"].shaft) == ["Bearing.input belongs to no part of this model"]
+
+
+def test_a_signal_that_nobody_publishes_names_the_nearest():
+    found = problems(assemble, electric({n: part for n, part in PARTS.items() if n != "shift"}))
+    assert "gearbox.required reads the signal ratio, which no part publishes, did you mean 'ratios'?" in found
+
+
+def test_a_signal_has_one_owner():
+    m = electric({**PARTS, "second_shift": PARTS["shift"].__class__(PARTS["shift"].p)})
+    assert problems(assemble, m) == [
+        "the signal ratio is published by shift and second_shift; one part must own it",
+        "the signal gear is published by shift and second_shift; one part must own it",
+    ]
+
+
+def test_what_a_face_gives_must_be_declared():
+    @dataclass(frozen=True)
+    class Careless(Component):
+        p: BearingParameters
+        parameters = BearingParameters
+
+        @face("heat")
+        def warm(self, v):
+            return {"heat": v}
+
+    found = problems(assemble, electric({**PARTS, "careless": Careless(BearingParameters())}))
+    assert found == ["careless.warm gives heat, which Careless does not declare"]
+
+
+@dataclass(frozen=True)
+class Impatient(Bearing):
+    """Wants the voltage of this very step, which depends on its own torque."""
+
+    def chain(self, U):
+        return (drag(self.p.tau * U),)
+
+
+def test_a_loop_without_memory_is_refused_by_the_names_of_its_faces():
+    (found,) = problems(assemble, electric_with_bearing(Impatient(BearingParameters())))
+    head, _, loop = found.rpartition(": ")
+    assert head == "undeclared loop, a memory must break it"
+    *faces, again = loop.split(" -> ")
+    assert faces[0] == again
+    # It may be entered anywhere.
+    i = faces.index("bearing.required")
+    assert faces[i:] + faces[:i] == ["bearing.required", "battery.available", "bus.required", "accessories.required", "motor.required"]
+
+
+def test_the_same_loop_through_a_memory_is_fine():
+    @dataclass(frozen=True)
+    class Patient(Bearing):
+        def chain(self, U_supply):
+            return (drag(self.p.tau * U_supply),)
+
+    step = assemble(electric_with_bearing(Patient(BearingParameters())))
+    assert "bearing.P_loss" in step.output_index
+
+
+SHORT = Cycle(name="short", time=np.array([0.0, 20.0, 30.0, 45.0]), speed=np.array([0.0, 15.0, 15.0, 0.0]))
+
+
+def marched(made, dt=1.0):
+    samples = SHORT.sampled(dt)
+    parameters = np.array([d.start for d in made.step.parameters])
+    march = made.march(samples, parameters)
+    names = [d.name for d in made.step.outputs]
+    return {n: march.history[:, i] for i, n in enumerate(names)}, dict(zip(names, march.sums, strict=True)), samples
+
+
+def test_a_new_part_without_drag_changes_nothing_in_the_step():
+    plain, *_ = marched(stepper(electric(PARTS)))
+    free, *_ = marched(stepper(electric_with_bearing(Bearing(BearingParameters()))))
+    # The operations are the same but for the zeros that the new part adds.
+    for name, series in plain.items():
+        np.testing.assert_allclose(free[name], series, rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+def test_a_new_part_drags_in_the_step_and_its_energy_is_booked():
+    made = stepper(electric_with_bearing(Bearing(BearingParameters(tau=2.0, J=0.05))))
+    series, energies, samples = marched(made)
+    assert np.all(np.abs(series["body.v"] - samples.v) < 1e-9)
+    np.testing.assert_allclose(series["bearing.P_loss"], 2.0 * series["motor.omega"], rtol=1e-12)
+    alpha = np.diff(series["motor.omega"], prepend=0.0)
+    tau_gearbox = series["bearing.tau"]
+    np.testing.assert_allclose(series["motor.tau"], tau_gearbox + 2.0 * (series["motor.omega"] > 0) + 0.05 * alpha, atol=1e-9)
+    # Sum of some hundred terms; the design asks for 1e-9.
+    assert abs(account(made.step.outputs, energies).balance_relative) < 1e-12
+
+
+def test_a_new_part_works_in_the_forward_facing_plant():
+    made = Forward(electric_with_bearing(Bearing(BearingParameters(tau=2.0, J=0.05))))
+    samples = SHORT.sampled(made.driver.dt)
+    done = made.run(samples, np.array([d.start for d in made.stepper.step.parameters]))
+    names = [d.name for d in made.plant.shown]
+    series = {n: done.history[:, i] for i, n in enumerate(names)}
+    moving = series["motor.omega"] > 1
+    np.testing.assert_allclose(series["bearing.P_loss"][moving], 2.0 * series["motor.omega"][moving], rtol=1e-12)
+    booked = account(made.plant.booked, done.energies)
+    # The tolerance of the integrator is 1e-8; a few hundred starts of it add up.
+    assert abs(booked.balance_relative) < 1e-6
+    # The step asks for the same energy but for its discretisation.
+    _, energies, _ = marched(made.stepper, dt=0.1)
+    assert done.energies["battery.P_stored"] == pytest.approx(energies["battery.P_stored"], rel=0.01)
+    assert done.energies["bearing.P_loss"] == pytest.approx(energies["bearing.P_loss"], rel=0.01)
+
+
+def test_a_new_source_can_stand_in_for_the_battery():
+    @dataclass(frozen=True)
+    class Wire(Component):
+        """An overhead line: gives whatever is asked for."""
+
+        p: BearingParameters
+        parameters = BearingParameters
+        dc = Port(Electric, "wheel")
+        variables = (Variable("P_stored", "W", "power from the line", "stored"), Variable("U_supply", "V", "voltage", signal=True))
+
+        @face("U_supply")
+        def voltage(self):
+            return {"U_supply": 600.0}
+
+        @face("dc", "P_stored")
+        def available(self, dc):
+            return {"dc": dc, "P_stored": dc.P}
+
+    made = stepper(electric({**PARTS, "battery": Wire(BearingParameters())}))
+    series, energies, samples = marched(made)
+    assert np.all(np.abs(series["body.v"] - samples.v) < 1e-9)
+    assert abs(account(made.step.outputs, energies).balance_relative) < 1e-12

@@ -1,0 +1,275 @@
+"""Measures speed: against the forward-facing model, FASTSim and hand-written C, and the cost of what goes around a step.
+
+All times are medians over repeats, on one core, which the process is pinned to where the system allows.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from halfshaft.cosim.acceleration import DT, accelerate, prepared
+from halfshaft.cosim.compiled import Mode
+from halfshaft.cosim.cycle import Cycle, acceleration_cycle
+from halfshaft.cosim.simulate import parameters_of, run, stepper_of
+from halfshaft.library.errors import CompileError, SolveError
+from halfshaft.models.vehicle import Vehicle
+from halfshaft.validation import paper
+from halfshaft.validation.handwritten import Twin
+from halfshaft.validation.reproduce import speed_tasks
+
+#: Our vehicles and those of FASTSim that come nearest.
+PEERS = {"small-car-electric": "2022_Renault_Zoe.yaml", "small-car-conventional": "2012_Ford_Fusion.yaml"}
+
+Row = dict[str, Any]
+
+
+class Times(NamedTuple):
+    """Medians per call [s]: by the wall's clock, and of this thread's processor."""
+
+    wall: float
+    cpu: float
+
+
+def measured(call: Callable[[], Any], seconds: float = 0.6, repeats: int = 9, prepare: Callable[[], Any] | None = None) -> Times:
+    """Return the median times of a call; `prepare` runs before each and is not timed."""
+    make = prepare or (lambda: None)
+    make()
+    call()
+    make()
+    start = time.perf_counter()
+    call()
+    n = max(1, int(seconds / repeats / max(time.perf_counter() - start, 1e-7)))
+    walls, cpus = [], []
+    for _ in range(repeats):
+        wall = cpu = 0
+        for _ in range(n):
+            make()
+            w, c = time.perf_counter_ns(), time.thread_time_ns()
+            call()
+            cpu += time.thread_time_ns() - c
+            wall += time.perf_counter_ns() - w
+        walls.append(1e-9 * wall / n)
+        cpus.append(1e-9 * cpu / n)
+    return Times(statistics.median(walls), statistics.median(cpus))
+
+
+@contextmanager
+def one_core() -> Iterator[set[int]]:
+    """Pin this thread to one core, where the system allows; gives the cores that there were."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield set(range(os.cpu_count() or 1))
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield cores
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def bench(progress: Callable[[str], None] | None = None) -> dict[str, Any]:
+    """Measure everything.
+
+    Parameters
+    ----------
+    progress
+        Is told what is being measured.
+
+    Returns
+    -------
+    dict
+        ``rows``: dicts of ``name``, ``value`` (None if it could not be measured), ``unit``, ``target`` and ``note``.
+
+    """
+    say = progress or (lambda _: None)
+    rows: list[Row] = []
+    with one_core() as cores:
+        for title, measure in (
+            ("forward-facing model", _forward),
+            ("FASTSim", _fastsim),
+            ("hand-written step", _twin),
+            ("refined mode", _refined),
+            ("start-up", _start),
+        ):
+            say(title)
+            rows += measure()
+    say("threads")
+    return {"rows": rows + _threads(len(cores))}
+
+
+def _row(name: str, value: float | None, unit: str, target: str = "", note: str = "") -> Row:
+    return {"name": name, "value": value, "unit": unit, "target": target, "note": note}
+
+
+def _forward() -> list[Row]:
+    """Return the paper's table 5: whole runs with history."""
+    rows = []
+    printed = dict(zip(paper.TABLE_5.rows, paper.TABLE_5.ratio, strict=True))
+    note = "small-car-conventional; whole runs with history, models built before"
+    for name, task in speed_tasks().items():
+        hybrid = measured(lambda task=task: task("step")).wall  # type: ignore[misc]
+        rows.append(_row(f"{name}: hybrid", 1e3 * hybrid, "ms", note=note))
+        try:
+            forward = measured(lambda task=task: task("forward"), 0.0, 1).wall  # type: ignore[misc]
+        except SolveError as error:
+            rows.append(_row(f"{name}: forward-facing", None, "s", note=f"did not finish: {error}"))
+            continue
+        rows.append(_row(f"{name}: forward-facing", forward, "s", note=f"{note}; one run, IDAS, controls each 0.1 s"))
+        rows.append(_row(f"{name}: hybrid faster by", forward / hybrid, "times", f"> {printed[name]} (paper)"))
+    return rows
+
+
+def _fastsim() -> list[Row]:
+    """Return UDDS by us and by FASTSim, with and without history."""
+    rows = []
+    cycle = Cycle.load("udds")
+    samples = cycle.sampled(1.0)
+    for name, peer in PEERS.items():
+        car = Vehicle.load(name)
+        compiled = stepper_of(car)
+        parameters = parameters_of(car, compiled.step, samples.v_start)
+        ours = {
+            "simulation, history": measured(lambda c=compiled, p=parameters: c.march(samples, p)),  # type: ignore[misc]
+            "simulation, no history": measured(lambda c=compiled, p=parameters: c.march(samples, p, history=False)),  # type: ignore[misc]
+            "whole call, history": measured(lambda car=car: run(car, cycle)),  # type: ignore[misc]
+        }
+        try:
+            theirs = {"history": _fastsim_time(peer, 1), "no history": _fastsim_time(peer, None)}
+        except ImportError:
+            theirs = {}
+        for what, ours_time in ours.items():
+            kept = what.split(", ")[1]
+            other = theirs.get(kept)
+            scope = "vehicle and trace ready, as FASTSim's" if what.startswith("simulation") else "trace sampled and result built in each call"
+            note = f"UDDS at 1 s, {len(compiled.step.outputs)} outputs; processor {1e6 * ours_time.cpu:.0f} us; {scope}"
+            target = f"< {1e6 * other.wall:.0f} us (FASTSim)" if other else ""
+            rows.append(_row(f"{name}: {what}", 1e6 * ours_time.wall, "us", target, note))
+            if other:
+                rows.append(_row(f"{name}: {what}, faster than FASTSim by", other.cpu / ours_time.cpu, "times", "> 1", "of processor time"))
+        for kept in ("history", "no history"):
+            other = theirs.get(kept)
+            note = f"fresh SimDrive each run, its set-up not timed; processor {1e6 * other.cpu:.0f} us" if other else "FASTSim is not installed"
+            rows.append(_row(f"FASTSim {peer.removesuffix('.yaml')}: simulation, {kept}", 1e6 * other.wall if other else None, "us", note=note))
+    return rows
+
+
+def _fastsim_time(name: str, save: int | None) -> Times:
+    """Return the time of one pass of FASTSim over UDDS."""
+    # Its errors on ordinary paths each capture a backtrace when these are set, which makes it about ten times slower.
+    for variable in ("RUST_BACKTRACE", "RUST_LIB_BACKTRACE"):
+        os.environ.pop(variable, None)
+    import fastsim
+
+    vehicle, cycle = fastsim.Vehicle.from_resource(name), fastsim.Cycle.from_resource("udds.csv")
+    vehicle.set_save_interval(save)
+    drives: list[Any] = []
+    go = next(getattr(fastsim.SimDrive, method) for method in ("run_once", "walk_once") if hasattr(fastsim.SimDrive, method))
+
+    def prepare() -> None:
+        drives[:] = [fastsim.SimDrive(vehicle, cycle)]
+
+    return measured(lambda: go(drives[0]), prepare=prepare)
+
+
+def _twin() -> list[Row]:
+    """Return the cost of the generated step beside hand-written C of the same physics."""
+    car = Vehicle.load("small-car-electric")
+    samples = Cycle.load("udds").sampled(1.0)
+    compiled = stepper_of(car)
+    parameters = parameters_of(car, compiled.step, samples.v_start)
+    try:
+        twin = Twin(car)
+    except CompileError as error:
+        return [_row("electric step", None, "ns", note=f"no compiler: {error}")]
+    n = len(samples.t)
+    by_hand, generated = measured(lambda: twin.march(samples)).cpu, measured(lambda: compiled.march(samples, parameters)).cpu
+    note = "UDDS with history, integrals and maxima; processor time"
+    return [
+        _row("electric step: generated", 1e9 * generated / n, "ns", "< 350 ns", f"{len(compiled.step.outputs)} outputs; {note}"),
+        _row("electric step: by hand", 1e9 * by_hand / n, "ns", note=f"{len(twin.outputs)} outputs; {note}"),
+        _row("electric step: generated over by hand", generated / by_hand, "times", note="equal results, see the tests"),
+    ]
+
+
+def _refined() -> list[Row]:
+    """Return what the refined mode costs where limits act everywhere, sometimes, and never."""
+    heavy, light = Vehicle.load("paper-series-2393"), Vehicle.load("small-car-electric")
+    cases = {
+        "acceleration": (prepared(heavy), acceleration_cycle(), DT, "limits act in every step"),
+        "US06": (heavy, Cycle.load("us06").scaled(paper.SPEED_1999), 1.0, "limits act in some steps"),
+        "UDDS": (light, Cycle.load("udds"), 1.0, "no limit acts"),
+    }
+    rows = []
+    for name, (car, cycle, dt, note) in cases.items():
+        samples, compiled = cycle.sampled(dt), stepper_of(car)
+        parameters = parameters_of(car, compiled.step, samples.v_start)
+        modes: tuple[Mode, ...] = ("hybrid", "refined")
+        hybrid, refined = (
+            measured(lambda m=mode, c=compiled, p=parameters, s=samples: c.march(s, p, mode=m)).cpu  # type: ignore[misc]
+            for mode in modes
+        )
+        calls = compiled.march(samples, parameters, mode="refined").evaluations / max(len(samples.t), 1)
+        note = f"{car.name}; {note}; {calls:.2f} evaluations a step; hybrid {1e6 * hybrid:.0f} us"
+        rows.append(_row(f"refined over hybrid: {name}", refined / hybrid, "times", note=note))
+    return rows
+
+
+def _start() -> list[Row]:
+    """Return the times of import and of the first compilation."""
+    importing = "import halfshaft.cosim.simulate"
+    whole = statistics.median(_timed_python(f"{importing}") for _ in range(5))
+    empty = statistics.median(_timed_python("pass") for _ in range(5))
+    rows = [_row("import", 1e3 * (whole - empty), "ms", note="halfshaft.cosim.simulate, less the start of Python")]
+    for name in PEERS:
+        code = (
+            f"{importing}; import time; from halfshaft.models.vehicle import Vehicle; v = Vehicle.load({name!r}); "
+            "t = time.perf_counter(); halfshaft.cosim.simulate.stepper_of(v); print(time.perf_counter() - t)"
+        )
+        with tempfile.TemporaryDirectory() as cache:
+            cold, warm = (float(_python(code, cache)) for _ in range(2))
+        rows.append(_row(f"{name}: first build", cold, "s", note="assembly, code and compiler, empty cache"))
+        rows.append(_row(f"{name}: build from the cache", warm, "s", note="in a new process"))
+    return rows
+
+
+def _python(code: str, cache: str) -> str:
+    environment = {**os.environ, "HALFSHAFT_CACHE": cache}
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+
+
+def _timed_python(code: str) -> float:
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True)
+    return time.perf_counter() - start
+
+
+def _threads(n_cores: int) -> list[Row]:
+    """Return how the throughput of many vehicles grows with a second thread."""
+    if n_cores < 2:
+        return [_row("throughput of two threads over one", None, "times", "> 1.8", "there is only one core")]
+    samples = Cycle.load("udds").sampled(1.0)
+    base = Vehicle.load("small-car-electric")
+    compiled = stepper_of(base)
+    fleet = [parameters_of(base.with_values({"body.m": 1000.0 + i}), compiled.step) for i in range(200)]
+
+    def throughput(threads: int) -> float:
+        with ThreadPoolExecutor(threads) as pool:
+            start = time.perf_counter()
+            for _ in pool.map(lambda p: compiled.march(samples, p, history=False), fleet):
+                pass
+            return len(fleet) / (time.perf_counter() - start)
+
+    throughput(2)
+    one = statistics.median(throughput(1) for _ in range(7))
+    two = statistics.median(throughput(2) for _ in range(7))
+    note = f"electric car over UDDS, no history: {one:.0f} and {two:.0f} runs a second"
+    return [_row("throughput of two threads over one", two / one, "times", "> 1.8", note)]
