@@ -221,7 +221,8 @@ def accelerate_command(
         _print_json(times)
         return
     console = _console()
-    table = Table(title=f"{escape(car.name)}: 0 to {to:g} km/h", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    console.print(f"[bold]{escape(car.name)}[/] from 0 to {to:g} km/h", highlight=False, soft_wrap=True)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
     table.add_column("method")
     table.add_column("time \\[s]", justify="right")
     if compare:
@@ -523,7 +524,9 @@ def _number_or_text(text: str) -> float | str:
 
 
 def _console() -> Console:
-    return Console(file=sys.stdout, soft_wrap=False)
+    # In a pipe or a file, lines may be longer than on the narrowest terminal.
+    narrow = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return Console(file=sys.stdout, width=None if narrow else 120)
 
 
 @contextmanager
@@ -674,7 +677,7 @@ def _cell(value: Any) -> str:
 
 
 def _head(console: Console, name: str, title: str, facts: Iterable[tuple[str, str]]) -> None:
-    console.print(f"[bold]{escape(name)}[/]  {escape(title)}", highlight=False)
+    console.print(f"[bold]{escape(name)}[/]  {escape(title)}", highlight=False, soft_wrap=True)
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
@@ -688,7 +691,7 @@ def _value_table(*headings: str) -> Table:
     table.add_column(headings[0], no_wrap=True)
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    table.add_column("meaning", overflow="fold")
+    table.add_column("meaning", overflow="fold", min_width=18)
     for heading in headings[1:]:
         table.add_column(heading, no_wrap=True)
     return table
@@ -723,7 +726,7 @@ def _show_component(console: Console, c: ComponentFile) -> None:
         if value is MISSING:
             table.add_row(f.name, "open", spec.unit, escape(f"{spec.doc}; follows from other parts of a vehicle"))
         elif spec.axes:
-            table.add_row(f.name, _extent(value), spec.unit, escape(spec.doc))
+            table.add_row(f.name, "map", spec.unit, escape(f"{spec.doc}; {_extent(value)}"))
         elif spec.row:
             for i, x in enumerate(value, 1):
                 table.add_row(f"{f.name}_{i}", f"{x:g}", spec.unit, escape(spec.doc))
@@ -735,11 +738,11 @@ def _show_component(console: Console, c: ComponentFile) -> None:
 def _add_tables(table: Table, prefix: str, p: Parameters) -> None:
     specs = {f.name: spec_of(f) for f in fields(p)}
     for name, t in tables(p):
-        table.add_row(f"{prefix}{name}", _extent(t), specs[name].unit, escape(specs[name].doc), "")
+        table.add_row(f"{prefix}{name}", "map", specs[name].unit, escape(f"{specs[name].doc}; {_extent(t)}"), "")
 
 
 def _extent(t: Map) -> str:
-    return f"map {' x '.join(str(n) for n in t.values.shape)}: {t.values.min():.4g} to {t.values.max():.4g}"
+    return f"{' x '.join(str(n) for n in t.values.shape)} values, {t.values.min():.4g} to {t.values.max():.4g}"
 
 
 def _show_cycle(console: Console, c: Cycle) -> None:

@@ -152,7 +152,7 @@ class InterpretedStep:
     def __call__(self, state: Array, request: Array, parameters: Array) -> tuple[Array, Array]:
         """Return next state and outputs of one step."""
         following, outputs = (np.array(r, dtype=float).ravel() for r in self._run(state, request, parameters))
-        if not (np.all(np.isfinite(following)) and np.all(np.isfinite(request))):
+        if not all(np.all(np.isfinite(a)) for a in (following, state, request, parameters)):
             raise SolveError(f"{self.step.name}: an input or a result of the step is not a number")
         return following, outputs
 

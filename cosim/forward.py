@@ -46,7 +46,7 @@ class Driver:
 
 @dataclass(frozen=True)
 class ForwardRun:
-    """Shown variables at the samples, integrals of the booked powers, and the last state."""
+    """Shown variables at the samples, integrals of all powers, and the last state."""
 
     time: Array
     history: Array
@@ -95,7 +95,6 @@ class Forward:
                 parameters[i] = max(parameters[i], least)
         memory = self.stepper.first(parameters)
         places = np.array([step.state_index[m] for m in plant.memories])
-        missed = step.state_index["body.trace_missed"]
         held_at = np.array([step.output_index[name] for name in plant.held])
         miss = step.output_index["body.trace_miss"]
         distance = [d.name for d in plant.states].index("body.distance")
@@ -107,14 +106,14 @@ class Forward:
         x, a, integral = memory[places].copy(), 0.0, 0.0
         x_start = x.copy()
         v_before, n = samples.v_start, len(samples.t)
-        quads = np.zeros(len(plant.booked))
+        quads = np.zeros(len(plant.powers))
         rows = np.empty((n, len(plant.shown)))
         for k in range(n):
             dt = samples.dt[k]
             error = v_before - x[0]
             a_asked = (samples.v[k] - v_before) / dt + driver.k_p * error + driver.k_i * integral
             grade = np.interp(x[distance], *samples.grade_by_distance) if samples.grade_by_distance else samples.grade[k]
-            memory[places], memory[missed] = x, 0.0
+            memory[places] = x
             asked = max(0.0, x[0] + a_asked * dt)
             stopped = samples.v[k] == 0 and x[0] < driver.v_stop
             if stopped:
@@ -132,7 +131,7 @@ class Forward:
             quads += gained
             rows[k] = np.array(self.plant.outputs(x, a, p)).ravel()
             v_before = samples.v[k]
-        energies = {d.name: float(q) for d, q in zip(plant.booked, quads, strict=True)}
+        energies = {d.name: float(q) for d, q in zip(plant.powers, quads, strict=True)}
         m, g = parameters[weight]
         # The states know these better than the integrals of their rates do.
         energies["body.P_kinetic"] = 0.5 * m * (x[0] ** 2 - x_start[0] ** 2)

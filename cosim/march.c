@@ -102,7 +102,7 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
   double *now = state[0], *next = state[1];
   trial t = {0, p, q, u, 0, 0, 0, 0, 0, 1};
   long k;
-  hs_prepare(p, q);
+  t.failed = hs_prepare(p, q);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
   for (int i = 0; i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {

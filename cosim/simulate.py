@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-import halfshaft
+from halfshaft import __version__
 from halfshaft.cosim.compiled import Array, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
@@ -88,7 +88,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         problems.append(f"mode {mode} runs via step only, not via {via}")
     if problems:
         raise InputError("run", problems)
-    inputs = Inputs(vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, halfshaft.__version__, dict(vehicle.values))
+    inputs = Inputs(vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values))
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs)
     if via in ("fmu2", "fmu3"):
@@ -146,6 +146,6 @@ def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver 
     )
     v = done.history[:, [d.name for d in forward.plant.shown].index("body.v")]
     rows = np.column_stack([done.history, samples.v, samples.v - v])
-    # Integrals that the integrator did not take are sums over the samples; the account uses only those that it took.
+    # Powers are integrated by IDAS; of all else the sum over the samples must do.
     energies = {d.name: float(e) for d, e in zip(outputs, rows.T @ samples.dt, strict=True)} | done.energies
     return _result(inputs, outputs, samples, rows, energies, _first(vehicle, samples))

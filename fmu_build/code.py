@@ -3,12 +3,12 @@
 It defines ``HS_NX``, ``HS_NU``, ``HS_NP``, ``HS_NQ``, ``HS_NY`` and::
 
     static void hs_start(const double *p, double *x);
-    static void hs_prepare(const double *p, double *q);
+    static int  hs_prepare(const double *p, double *q);
     static int  hs_step_prepared(const double *x, const double *u, const double *p, const double *q, double *xn, double *y);
     static int  hs_step(const double *x, const double *u, const double *p, double *xn, double *y);
 
-``q`` holds what depends on parameters only, computed once for many steps.  A step returns nonzero when an input or a
-result is not a number.
+``q`` holds what depends on parameters only, computed once for many steps.  The last three return nonzero when an input
+or a result is not a number: minima and maxima would swallow it.
 
 The C is written from the expression graph, one line a node, in the order and with the operations of CasADi's virtual
 machine, so both give the same bits as long as the compiler does not contract (``-ffp-contract=off``).  Equal nodes are
@@ -162,18 +162,20 @@ def step_code(step: Step) -> str:
         f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters)}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
         "static void hs_start(const double *p, double *x) {", *starter.prepared, *_stores("x", first_names), "}\n",
-        "static void hs_prepare(const double *p, double *q) {", *writer.prepared, *_stores("q", kept), "}\n",
+        "static int hs_prepare(const double *p, double *q) {", *writer.prepared, *_stores("q", kept),
+        "  double check = 0;",
+        "  for (int i = 0; i < HS_NP; ++i) check += p[i] * 0;",
+        "  return check != check;\n}\n",
         "static int hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                            const double *restrict q, double *restrict xn, double *restrict y) {",
         *unpack, body, *_stores("xn", next_names), *_stores("y", output_names),
         "  double check = 0;",
-        "  for (int i = 0; i < HS_NX; ++i) check += xn[i] * 0;",
+        "  for (int i = 0; i < HS_NX; ++i) check += x[i] * 0 + xn[i] * 0;",
         "  for (int i = 0; i < HS_NU; ++i) check += u[i] * 0;",
         "  return check != check;\n}\n",
         "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
         "  double q[HS_NQ];",
-        "  hs_prepare(p, q);",
-        "  return hs_step_prepared(x, u, p, q, xn, y);\n}\n",
+        "  return hs_prepare(p, q) | hs_step_prepared(x, u, p, q, xn, y);\n}\n",
     ]  # fmt: skip
     return "\n".join(parts)
 

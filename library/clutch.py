@@ -19,6 +19,8 @@ from halfshaft.library.ports import Expr, Port, Shaft
 
 #: Capacity of the engaged clutch over the engine's largest torque, and slip speed of the smooth friction law [rad/s].
 CAPACITY, OMEGA_SLIP = 2.0, 1.0
+#: A slipping clutch begins to carry at this share of the idling speed and carries all that is asked for at launch speed.
+BITE = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,13 +71,24 @@ class Clutch(TwoSided):
 
     @plant("input", "P_loss", "balance")
     def flow(
-        self, output: Shaft, tau_clutch: Expr, clutch_open: Expr, clutch_slipping: Expr, omega_engine: Expr, engine: Engine
+        self,
+        output: Shaft,
+        tau_clutch: Expr,
+        clutch_open: Expr,
+        clutch_slipping: Expr,
+        omega_engine: Expr,
+        omega_idle: Expr,
+        omega_launch: Expr,
+        engine: Engine,
     ) -> Mapping[str, Any]:
-        """Return the torque of the friction pair in continuous time: its capacity times a smooth function of the slip speed.
+        """Return the torque of the friction pair in continuous time: capacity times a smooth function of the slip speed.
 
-        Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for.
+        Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for,
+        less while the engine is below its launch speed, so that it is not stalled.
         """
-        capacity = where(clutch_slipping, clip(tau_clutch, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
+        low = BITE * omega_idle
+        bite = clip((omega_engine - low) / ca.fmax(omega_launch - low, 1), 0, 1)
+        capacity = where(clutch_slipping, bite * clip(tau_clutch, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
         tau = where(clutch_open, 0, capacity) * ca.tanh((omega_engine - output.omega) / OMEGA_SLIP)
         return {
             "input": Shaft(tau, omega_engine, 0.0),

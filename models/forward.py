@@ -104,7 +104,7 @@ class Plant:
     """The forward-facing model of a vehicle.
 
     ``dae`` has the states ``x``, the acceleration ``z``, ``p`` (held values, grade, key, then parameters), and the integrals
-    ``quad`` of all booked powers.  ``held`` names the outputs of the step that are held; ``memories`` tells which
+    ``quad`` of all powers.  ``held`` names the outputs of the step that are held; ``memories`` tells which
     state of the step each state ``x`` stands for.  ``outputs`` maps ``(x, z, p)`` to the ``shown`` variables.
     """
 
@@ -114,7 +114,7 @@ class Plant:
     states: tuple[Description, ...]
     memories: tuple[str, ...]
     held: tuple[str, ...]
-    booked: tuple[Description, ...]
+    powers: tuple[Description, ...]
     shown: tuple[Description, ...]
 
 
@@ -144,16 +144,12 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
     values = wiring.evaluate(known)
     balance = [value for key, value in values.items() if key[0] == "balance"]
     rates = ca.vertcat(*(values["derivative", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
-    booked, powers = [], []
     shown = [(Description(d.name, d.unit, d.doc), symbol) for d, symbol in zip(states, x, strict=True)]
     for name, part in symbols.parts.items():
         for v in part.all_variables():
             if (key := ("variable", name, v.name)) in values and key not in known:
                 described = Description(f"{name}.{v.name}", v.unit, v.doc, v.kind, booking=v.booking)
                 shown.append((described, values[key]))
-                if v.booking:
-                    booked.append(described)
-                    powers.append(values[key])
         for c in model.connections:
             point: Any = values.get(("required", c.supply, c.supply_port.name), values.get(("available", c.supply, c.supply_port.name)))
             for field in SHOWN[c.supply_port.kind]:
@@ -164,10 +160,15 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
             if c.load == name:
                 several = sum(other.load == name for other in model.connections) > 1
                 shown.append((_described(step, f"{name}.P_in{f'_{c.load_port.name}' if several else ''}"), point.P))
+    integrals = [(d, value) for d, value in shown if d.unit == "W"]
     p = ca.vertcat(*held.values(), grade, key_on, symbols.parameters)
-    dae = {"x": ca.vertcat(*x), "z": a, "p": p, "ode": rates, "alg": ca.vertcat(*balance), "quad": ca.vertcat(*powers)}
+    quad = ca.vertcat(*(value for _, value in integrals))
+    dae = {"x": ca.vertcat(*x), "z": a, "p": p, "ode": rates, "alg": ca.vertcat(*balance), "quad": quad}
     outputs = ca.Function("outputs", [dae["x"], a, p], [ca.vertcat(*(value for _, value in shown))])
-    return Plant(model.name, dae, outputs, tuple(states), tuple(memories), tuple(held), tuple(booked), tuple(d for d, _ in shown))
+    return Plant(
+        model.name, dae, outputs, tuple(states), tuple(memories), tuple(held),
+        tuple(d for d, _ in integrals), tuple(d for d, _ in shown),
+    )  # fmt: skip
 
 
 def _described(step: Step, name: str) -> Description:

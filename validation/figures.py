@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from halfshaft.cosim.acceleration import T_START
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.result import Result
+
+Place: TypeAlias = Literal["upper left", "upper right", "center right", "lower right"] | tuple[float, float]
 
 
 class Theme(NamedTuple):
@@ -53,7 +55,7 @@ class Plot:
     ticks: tuple[float, float]
     #: Names written beside curves: text, place, colour.
     names: Sequence[tuple[str, float, float, int]] = ()
-    legend: str | tuple[float, float] | None = "best"
+    legend: Place | None = "upper left"
 
 
 #: One figure: its plots from top to bottom.
@@ -64,7 +66,7 @@ def acceleration_drawings(r: Result) -> dict[str, Drawing]:
     """Return figures 2, 3, 5, 6 and 7 from the acceleration of a vehicle whose motor has a current limit."""
     t, kmh = r.time, 3.6
 
-    def plot(y_label: str, y_end: float, step: float, legend: str | tuple[float, float], *curves: Curve) -> Drawing:
+    def plot(y_label: str, y_end: float, step: float, legend: Place, *curves: Curve) -> Drawing:
         return [Plot(curves, "time (s)", y_label, 50, y_end, (10, step), legend=legend)]
 
     return {
@@ -144,7 +146,8 @@ def _draw(ax: Axes, plot: Plot, theme: Theme) -> None:
     for text, x, y, colour in plot.names:
         ax.text(x, y, text, color=theme.ink if colour < 0 else theme.curves[colour], fontsize=9, va="center")
     if plot.legend:
-        ax.legend(loc=plot.legend, frameon=False, labelcolor=theme.ink, fontsize=10, handlelength=1.8, ncols=2 if len(plot.curves) == 4 else 1)
+        columns = 2 if len(plot.curves) == 4 else 1
+        ax.legend(loc=plot.legend, frameon=False, labelcolor=theme.ink, fontsize=10, handlelength=1.8, ncols=columns)
 
 
 def png(drawing: Drawing, theme: Theme = LIGHT) -> bytes:

@@ -40,10 +40,10 @@ class Speed(NamedTuple):
 
 _CARS = tuple(f"{m} kg" for m in MASSES)
 
-TABLE_2 = Accuracy("0–100 km/h acceleration times", "s", _CARS, (15.00, 20.00, 25.00), (15.07, 20.12, 25.19), (-0.5, -0.6, -0.8))
+TABLE_2 = Accuracy("0-100 km/h acceleration times", "s", _CARS, (15.00, 20.00, 25.00), (15.07, 20.12, 25.19), (-0.5, -0.6, -0.8))
 TABLE_3 = Accuracy("Energy into the motor on US06", "kWh", _CARS, (2.47, 2.79, 3.06), (2.47, 2.81, 3.12), (0.02, -0.7, -1.9))
 TABLE_4 = Accuracy(
-    "1936-kg vehicle with zero motor inertia", "s, kWh", ("0–100 km/h (s)", "US06 (kWh)"), (19.76, 2.79), (19.90, 2.81), (-0.7, -0.7)
+    "1936-kg vehicle with zero motor inertia", "s, kWh", ("0-100 km/h (s)", "US06 (kWh)"), (19.76, 2.79), (19.90, 2.81), (-0.7, -0.7)
 )
 TABLE_5 = Speed("Execution times", ("max. accel.", "FUDS", "HFET"), (16.0, 44.0, 32.0), (28.0, 352.0, 83.0), (1.7, 8.0, 2.6))
 

@@ -8,7 +8,7 @@ from html import escape
 from string import Template
 from typing import Any
 
-import halfshaft
+from halfshaft import __version__
 from halfshaft.validation import paper
 
 _PAGE = Template("""<!doctype html>
@@ -84,7 +84,7 @@ def report(result: Mapping[str, Any], light: Mapping[str, bytes], dark: Mapping[
     sentences = _sentences(result["figures"])
     return _PAGE.substitute(
         source=escape(paper.SOURCE),
-        version=escape(halfshaft.__version__),
+        version=escape(__version__),
         key=_key(tables),
         tables="\n".join([*rendered, _speed(tables["5"])]),
         notes="\n".join(f'<p class="note">{escape(note)}</p>' for note in result["notes"]),
@@ -94,13 +94,13 @@ def report(result: Mapping[str, Any], light: Mapping[str, bytes], dark: Mapping[
 
 def _number(x: float | None, digits: int, *, sign: bool = False) -> str:
     if x is None:
-        return "–"
-    return f"{x:{'+' if sign else ''}.{digits}f}".replace("-", "−")
+        return "&ndash;"
+    return f"{x:{'+' if sign else ''}.{digits}f}".replace("-", "&minus;")
 
 
 def _key(tables: Mapping[str, Any]) -> str:
     def gap(pairs: Sequence[tuple[Any, float]]) -> str:
-        return "–" if any(x is None for x, _ in pairs) else f"{max(abs(x - printed) for x, printed in pairs):.3f}"
+        return "&ndash;" if any(x is None for x, _ in pairs) else f"{max(abs(x - printed) for x, printed in pairs):.3f}"
 
     both = (("hybrid", "paper"), ("iteration", "paper_iteration"))
     times = [pair for ours, printed in both for pair in zip(tables["2"][ours], tables["2"][printed], strict=True)]
@@ -109,11 +109,12 @@ def _key(tables: Mapping[str, Any]) -> str:
     energies += [(tables["4"][ours][1], tables["4"][printed][1]) for ours, printed in both]
     refined = [abs(x) for n in ("2", "3", "4") for x in tables[n]["difference_refined"] if x is not None]
     ratios = [x for x in tables["5"]["ratio"] if x is not None]
+    faster = f"{min(ratios):.0f} to {max(ratios):.0f} times" if ratios else "&ndash;"
     entries = [
         (f"{gap(times)} s", "largest distance from the paper's eight acceleration times"),
         (f"{gap(energies)} kWh", "largest distance from the paper's eight energies"),
-        (f"{max(refined):.4f} %" if refined else "–", "largest error of the refined method; the paper's method errs by up to 1.9 %"),
-        (f"{min(ratios):.0f}–{max(ratios):.0f} ×" if ratios else "–", "faster than the forward-facing model; the paper says 1.7 to 8.0"),
+        (f"{max(refined):.4f} %" if refined else "&ndash;", "largest error of the refined method; the paper's method errs by up to 1.9 %"),
+        (faster, "faster than the forward-facing model; in the paper 1.7 to 8.0"),
     ]
     return "".join(f"<div><b>{value}</b>{text}</div>" for value, text in entries)
 
@@ -139,7 +140,7 @@ def _accuracy(number: str, t: Mapping[str, Any], printed: paper.Accuracy) -> str
         _row(name, [
             (_number(t["hybrid"][i], 3), True), (_number(t["paper"][i], 2), False),
             (_number(t["iteration"][i], 3), True), (_number(t["paper_iteration"][i], 2), False),
-            (_number(t["difference"][i], 2, sign=True), True), (f"{t['paper_difference'][i]:+g}".replace("-", "−"), False),
+            (_number(t["difference"][i], 2, sign=True), True), (f"{t['paper_difference'][i]:+g}".replace("-", "&minus;"), False),
             (_number(t["refined"][i], 3), True), (_number(t["difference_refined"][i], 4, sign=True), True),
             (_number(t["forward"][i], 3), True), (_number(t["difference_forward"][i], 2, sign=True), True),
         ])

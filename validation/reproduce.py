@@ -35,6 +35,8 @@ I_MAX = 161.0
 METHODS: dict[str, tuple[Mode, Via]] = {**{mode: (mode, "step") for mode in MODES}, "forward": ("hybrid", "forward")}
 
 Table = dict[str, list[Any]]
+#: Results by method and vehicle.
+Runs = dict[str, dict[str, Result]]
 
 
 def reproduce(out: Path | None = None, progress: Callable[[str], None] | None = None) -> dict[str, Any]:
@@ -63,8 +65,8 @@ def reproduce(out: Path | None = None, progress: Callable[[str], None] | None = 
     notes: list[str] = []
     cars = {f"{m} kg": Vehicle.load(f"paper-series-{m}") for m in paper.MASSES}
     us06 = Cycle.load("us06").scaled(paper.SPEED_1999)
-    accelerations: dict[str, dict[str, Result]] = {}
-    cycles: dict[str, dict[str, Result]] = {}
+    accelerations: Runs = {}
+    cycles: Runs = {}
     two: Table = {}
     three: Table = {}
     four: Table = {}
@@ -163,9 +165,9 @@ def _timed(task: Callable[[Via], Result], via: Via) -> float:
     return time.perf_counter() - start
 
 
-def _facts(limited: Result, accelerations: dict[str, dict[str, Result]], cycles: dict[str, dict[str, Result]]) -> dict[str, dict[str, float]]:
+def _facts(limited: Result, accelerations: Runs, cycles: Runs) -> dict[str, dict[str, float]]:
     """Return the values that the paper's text names for its figures, from our runs."""
-    t = limited.time
+    t, torques = limited.time, (limited["motor.tau_required"], limited["motor.tau_limited"])
     over_current = t[limited["motor.P_map"] > limited["motor.P_in_required"] + 1]
     end = np.flatnonzero(np.diff(over_current) > 0.15)
     over_speed = t[limited["motor.omega_required"] > limited["motor.omega"] + 1e-6]
@@ -177,7 +179,7 @@ def _facts(limited: Result, accelerations: dict[str, dict[str, Result]], cycles:
     return {
         "2": {"F_required_max_N": float(limited["body.F_required"].max()), "F_limited_max_N": float(limited["wheel.F_limited"].max())},
         "3": {"v_end_kmh": float(limited["body.v"][-1]) * 3.6, "v_limited_end_kmh": float(limited["wheel.v_limited"][-1]) * 3.6},
-        "5": {"tau_required_max_Nm": float(limited["motor.tau_required"].max()), "tau_limited_max_Nm": float(limited["motor.tau_limited"].max())},
+        "5": dict(zip(("tau_required_max_Nm", "tau_limited_max_Nm"), (float(tau.max()) for tau in torques), strict=True)),
         "6": {"t_top_speed_s": float(over_speed[0]), "omega_top": float(limited["motor.omega"].max())},
         "7": {
             "t_current_from_s": float(over_current[0]),

@@ -1,5 +1,59 @@
 """Vehicle powertrains: equation-based models that run backward, forward and as FMUs."""
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from halfshaft.cosim.acceleration import accelerate
+    from halfshaft.cosim.cycle import Cycle, cycle_names
+    from halfshaft.cosim.fmu import build_fmu
+    from halfshaft.cosim.result import Result
+    from halfshaft.cosim.simulate import run
+    from halfshaft.library.errors import HalfshaftError, InputError
+    from halfshaft.library.files import component_names
+    from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 __version__ = version("halfshaft")
+
+__all__ = [
+    "Cycle",
+    "HalfshaftError",
+    "InputError",
+    "Result",
+    "Vehicle",
+    "__version__",
+    "accelerate",
+    "build_fmu",
+    "component_names",
+    "cycle_names",
+    "run",
+    "vehicle_names",
+]
+
+# Imported when first asked for: `import halfshaft` stays fast, and modules below may import the version.
+_HOMES = {
+    "Cycle": "cosim.cycle",
+    "HalfshaftError": "library.errors",
+    "InputError": "library.errors",
+    "Result": "cosim.result",
+    "Vehicle": "models.vehicle",
+    "accelerate": "cosim.acceleration",
+    "build_fmu": "cosim.fmu",
+    "component_names": "library.files",
+    "cycle_names": "cosim.cycle",
+    "run": "cosim.simulate",
+    "vehicle_names": "models.vehicle",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'halfshaft' has no attribute '{name}'")
+    value = getattr(import_module(f"halfshaft.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -159,11 +159,11 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double drag_f = omega_f > 0 ? p->final_drive_tau_loss : 0, tau_f_rotor = p->final_drive_J * alpha_f;
   const double tau_f = tau_axle / i + drag_f + tau_f_rotor;
 
-  /* Gearbox, required: the efficiency of the output point. */
+  /* Gearbox, required: the efficiency of the output point.  The map says nothing near standstill. */
   const double G = p->gearbox_ratios_1, omega_g = omega_f * G, alpha_g = alpha_f * G;
   double drag_g = 0;
   if (omega_f > 0) {
-    double speed = larger(omega_f, 1) / p->gearbox_speed_scale;
+    double speed = larger(omega_f, 5) / p->gearbox_speed_scale;
     double e = p->gearbox_efficiency_scale * clipped_2d(&t->gearbox_efficiency, speed, tau_f / p->gearbox_torque_scale);
     e = between(e, 0.05, 1);
     drag_g = (tau_f >= 0 ? tau_f * (1 - e) / e : -tau_f * (1 - e)) / G;
@@ -243,7 +243,8 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double B = 2 * m / dt + roll_1 * moves;
   const double C = -2 * m * v / dt - larger(F, -70 * m) + roll_0 * moves + climb;
   const double v_force = -2 * C / (B + sqrt(B * B - 4 * aero * C));
-  double v_end = 2 * (F >= -m ? smaller(v_force, v_offered) : larger(v_force, v_offered)) - v;
+  const int braking = F < -m && v_request < v;
+  double v_end = 2 * (braking ? larger(v_force, v_offered) : smaller(v_force, v_offered)) - v;
   if (v_end < 1e-9) v_end = 0;
   const double v_mean = 0.5 * (v + v_end), inertial = m * (v_end - v) / dt;
   const double F_used = inertial + moves * (roll_0 + roll_1 * v_mean) + climb + aero * v_mean * v_mean;

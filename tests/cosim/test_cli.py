@@ -1,0 +1,299 @@
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import halfshaft
+from halfshaft.cosim.cli import app
+
+KEYS = {
+    "distance_m", "duration_s", "fuel_L", "fuel_economy_L_per_100km", "motor_input_J", "soc_start", "soc_end",
+    "trace_miss_max_mps", "balance_relative", "warnings", "account",
+}  # fmt: skip
+RUN = ("run", "small-car-electric", "--cycle", "us06")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HALFSHAFT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("COLUMNS", "100")
+        yield
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def done(*arguments):
+    result = call(*arguments)
+    assert result.exit_code == 0, result.stderr
+    assert result.stderr == ""
+    return result.stdout
+
+
+def refused(*arguments):
+    """Return the message of a call that must end with exit code 2."""
+    result = call(*arguments)
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert "Traceback" not in result.stderr
+    return result.stderr
+
+
+@pytest.mark.parametrize("car", ["small-car-electric", "small-car-series", "small-car-conventional"])
+def test_json_holds_the_summary_and_the_account(car):
+    found = json.loads(done("run", car, "--cycle", "us06", "--json"))
+    assert found.keys() >= KEYS
+    assert found["duration_s"] == 600
+    assert abs(found["balance_relative"]) < 1e-9
+    assert (found["fuel_L"] is None) == (car == "small-car-electric")
+    assert (found["soc_end"] is None) == (car == "small-car-conventional")
+    a = found["account"]
+    method = a["speed_mismatch_J"] + a["inertia_discretisation_J"] + a["speed_limit_J"]
+    left = a["fuel_J"] + a["battery_J"] - sum(a["losses_J"].values()) - a["kinetic_J"] - a["potential_J"] - method
+    # The same sum, in another order.
+    assert left == pytest.approx(a["residual_J"], abs=1e-6)
+    assert sum(part["loss_J"] for part in a["parts"].values()) == pytest.approx(sum(a["losses_J"].values()))
+
+
+def test_a_run_is_shown_as_a_table():
+    text = done("run", "small-car-series", "--cycle", "us06")
+    for expected in ("12.887 km", "L/100 km", "kWh", "0.7000 -> ", "engine", "method's error: speed mismatch", "balance", "battery limit"):
+        assert expected in text
+
+
+def test_numbers_are_set_with_units_and_in_si():
+    by_mass = done(*RUN, "--mass", "1500", "--soc", "0.9", "--json")
+    assert by_mass == done(*RUN, "--set", "body.m=1.5 t", "--set", "battery.soc_start=90 %", "--json")
+    assert by_mass == done(*RUN, "--set", "body.m=1500", "--set", "battery.soc_start=0.9", "--json")
+    assert json.loads(by_mass)["soc_start"] == 0.9
+
+
+def test_modes_and_ways_of_running():
+    refined = json.loads(done(*RUN, "--mode", "refined", "--json"))
+    assert refined["mode"] == "refined"
+    by_step, by_fmu = (json.loads(done(*RUN, "--via", via, "--json")) for via in ("step", "fmu3"))
+    assert by_fmu.pop("via") == "fmu3"
+    assert by_step.pop("via") == "step"
+    assert by_fmu["soc_end"] == pytest.approx(by_step["soc_end"], rel=1e-12)
+
+
+def test_forward_facing():
+    found = json.loads(done("run", "small-car-electric", "--cycle", "im240", "--via", "forward", "--json"))
+    assert found["via"] == "forward"
+    assert found["distance_m"] == pytest.approx(3150, rel=0.01)
+
+
+def test_files_are_written(tmp_path):
+    text = done(*RUN, "--out", tmp_path / "run.nc", "--plot", tmp_path / "run.png")
+    assert "run.nc" in text
+    assert halfshaft.Result.load(tmp_path / "run.nc").summary["distance_m"] > 12000
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("run", "smal-car-electric", "--cycle", "us06"),
+            "vehicle 'smal-car-electric': not in the library, did you mean 'small-car-electric'?",
+        ),
+        (("run", "missing.toml", "--cycle", "us06"), "missing.toml: cannot be read: No such file or directory"),
+        (("run", "small-car-electric", "--cycle", "us6"), "cycle 'us6': not in the library, did you mean 'us06'?"),
+        (("run", "small-car-electric", "--cycle", "missing.csv"), "missing.csv: cannot be read: No such file or directory"),
+        ((*RUN, "--set", "motr.J=1"), "motr.J is not known, did you mean 'motor.J'?"),
+        ((*RUN, "--set", "motor.J=5 kg"), 'motor.J = "5 kg", must be an inertia such as kg.m^2'),
+        ((*RUN, "--set", "motor.J=many"), 'motor.J = "many", must be a number'),
+        ((*RUN, "--set", "motor.J=nan"), "motor.J = nan, must be"),
+        ((*RUN, "--set", "motor.J"), "--set motor.J: must be NAME=VALUE"),
+        ((*RUN, "--mass", "-5"), "body.m = -5, must be > 0 kg"),
+        ((*RUN, "--mass", "nan"), "body.m = nan, must be > 0 kg"),
+        ((*RUN, "--mass", "1500", "--set", "body.m=1400"), "body.m is set 2 times"),
+        ((*RUN, "--soc", "1.5"), "battery.soc_start = 1.5, must be >= 0 and <= 1"),
+        (("run", "small-car-conventional", "--cycle", "us06", "--soc", "0.5"), "vehicle 'small-car-conventional' has no battery"),
+        ((*RUN, "--dt", "nan"), "--dt nan s, must be > 0 s"),
+        ((*RUN, "--dt", "0"), "--dt 0 s, must be > 0 s"),
+        ((*RUN, "--dt", "1e-9"), "steps of cycle 'us06', must be at most"),
+        ((*RUN, "--via", "fmu2", "--dt", "0.7"), "dt = 0.7 s leaves a last step of 0.1 s"),
+        ((*RUN, "--via", "forward", "--mode", "refined"), "mode refined runs via step only, not via forward"),
+        ((*RUN, "--out", "nowhere/run.nc"), "--out nowhere/run.nc: there is no folder nowhere"),
+        ((*RUN, "--out", "."), "--out .: is a folder, must be a file"),
+        ((*RUN, "--plot", "run.gif"), "a plot is written as .png, .svg, .pdf, not as '.gif'"),
+        (("accelerate", "small-car-electric", "--to", "0"), "--to 0 km/h, must be > 0 and < 322 km/h"),
+        (("fmu", "small-car-electric", "--fmi", "2", "-o", "car.zip"), "the name of an FMU ends in .fmu"),
+        (("fmu", "small-car-electric", "--fmi", "2", "-o", "car.fmu", "--dt", "inf"), "--dt inf s, must be > 0 s"),
+        (("fmu", "small-car-electric", "--fmi", "2", "-o", "car.fmu", "--grade", "a.csv"), "--grade goes with --cycle"),
+        (("show", "us6"), "did you mean 'us06'?"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_message(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert message in refused(*arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_several_problems_come_at_once():
+    text = refused("run", "smal-car-electric", "--cycle", "us6", "--dt", "-1", "--plot", "x.gif")
+    for part in ("several things are wrong", "small-car-electric", "us06", "--dt -1 s", ".gif"):
+        assert part in text
+
+
+@pytest.mark.parametrize(
+    "arguments", [("run",), ("run", "x", "--cycle", "y", "--via", "air"), ("list", "wheels"), ("nothing",), (*RUN, "--dt", "x")]
+)
+def test_wrong_usage_is_exit_code_2(arguments):
+    result = call(*arguments)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+
+
+def test_a_cycle_whose_time_runs_backwards(tmp_path):
+    path = tmp_path / "back.csv"
+    path.write_text("time_s,speed_mps\n0,0\n2,1\n1,3\n")
+    assert "line 4: time_s = 1 follows 2, it must rise" in refused("run", "small-car-electric", "--cycle", path)
+
+
+def test_a_cycle_with_grade_by_distance(tmp_path):
+    cycle, grade = tmp_path / "trip.csv", tmp_path / "road.csv"
+    cycle.write_text("time_s,speed_kmh\n0,0\n20,50\n60,50\n80,0\n")
+    grade.write_text("distance_m,grade\n0,0.02\n1000,0.02\n")
+    found = json.loads(done("run", "small-car-electric", "--cycle", cycle, "--grade", grade, "--json"))
+    assert found["account"]["potential_J"] > 0
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="the administrator may write everywhere")
+def test_a_read_only_folder_is_found_before_the_run(tmp_path):
+    tmp_path.chmod(0o500)
+    assert "cannot be written to" in refused(*RUN, "--out", tmp_path / "run.nc")
+
+
+def test_a_full_disk_is_an_error_without_a_trace(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
+    assert "run.png: cannot be written: No space left on device" in refused(*RUN, "--plot", tmp_path / "run.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def without_compiler(*arguments):
+    env = {**os.environ, "CC": "/nowhere/cc"}
+    command = [sys.executable, "-c", "from halfshaft.cosim.cli import app; app()", *arguments]
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+
+
+def test_without_a_compiler_it_runs_with_one_warning():
+    result = without_compiler("run", "small-car-electric", "--cycle", "im240", "--json")
+    assert result.returncode == 0
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("warning: running without compiled code")
+    found, compiled = json.loads(result.stdout), json.loads(done("run", "small-car-electric", "--cycle", "im240", "--json"))
+    assert found["soc_end"] == pytest.approx(compiled["soc_end"], rel=1e-9)
+
+
+def test_without_a_compiler_there_is_no_fmu(tmp_path):
+    result = without_compiler("fmu", "small-car-electric", "--fmi", "3", "-o", str(tmp_path / "car.fmu"))
+    assert result.returncode == 2
+    assert result.stderr == "error: the C compiler that the environment variable CC names was not found: /nowhere/cc\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_acceleration():
+    found = json.loads(done("accelerate", "small-car-electric", "--json"))
+    assert found.keys() == {"time_s"}
+    heavier = json.loads(done("accelerate", "small-car-electric", "--mass", "1600", "--json"))
+    assert heavier["time_s"] > found["time_s"] > 3
+    assert "0 to 100 km/h" in done("accelerate", "small-car-electric")
+
+
+def test_acceleration_compared():
+    found = json.loads(done("accelerate", "small-car-electric", "--compare", "--json"))
+    assert found.keys() == {"time_s", "iteration_s", "refined_s", "forward_s"}
+    assert found["refined_s"] == pytest.approx(found["iteration_s"], rel=1e-3)
+    assert found["forward_s"] == pytest.approx(found["iteration_s"], rel=0.02)
+
+
+def test_a_speed_that_is_never_reached_is_null():
+    assert json.loads(done("accelerate", "small-car-electric", "--to", "300", "--json")) == {"time_s": None}
+    assert "not reached" in done("accelerate", "small-car-electric", "--to", "300")
+
+
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_fmu_with_the_cycle_inside(fmi, tmp_path):
+    import fmpy
+
+    path = tmp_path / "us06.fmu"
+    done("fmu", "small-car-electric", "--fmi", fmi, "--cycle", "us06", "--mass", "1300", "-o", path)
+    result = fmpy.simulate_fmu(str(path), output=["battery.soc"])
+    found = json.loads(done(*RUN, "--mass", "1300", "--json"))
+    assert result["time"][-1] == 600
+    assert result["battery.soc"][-1] == pytest.approx(found["soc_end"], rel=1e-12)
+
+
+def test_driven_fmu_has_the_vehicles_numbers(tmp_path):
+    import fmpy
+
+    path = tmp_path / "car.fmu"
+    assert "requested speed" in done("fmu", "small-car-electric", "--fmi", "3", "--set", "body.m=1.3 t", "-o", path)
+    description = fmpy.read_model_description(str(path))
+    start = {v.name: v.start for v in description.modelVariables}
+    assert float(start["body.m"]) == 1300
+    assert fmpy.simulate_fmu(str(path), stop_time=3.0)["time"][-1] == 3.0
+
+
+@pytest.mark.parametrize("what", ["vehicles", "components", "cycles"])
+def test_list_names_all(what):
+    text = done("list", what)
+    for name in {"vehicles": halfshaft.vehicle_names, "components": halfshaft.component_names, "cycles": halfshaft.cycle_names}[what]():
+        assert name in text
+
+
+@pytest.mark.parametrize("name", [*halfshaft.vehicle_names(), *halfshaft.component_names(), *halfshaft.cycle_names()])
+def test_show_knows_everything(name):
+    assert name in done("show", name)
+
+
+def test_show_gives_value_unit_and_meaning():
+    text = done("show", "small-car-electric")
+    for expected in ("body.m", "1144", "kg", "gearbox.ratios_1", "rule", "ac-75kw", "ADVISOR 2003"):
+        assert expected in text
+
+
+def test_show_reads_files(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('schema = 1\nkind = "vehicle"\nname = "mine"\ntitle = "Mine"\nbase = "small-car-electric"\n[set]\n"body.m" = "1.2 t"\n')
+    assert "1200" in done("show", path)
+    path.write_text("schema = 2\n")
+    assert "this version reads schema 1" in refused("show", path)
+
+
+def test_output_survives_a_terminal_without_unicode():
+    env = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    command = [sys.executable, "-c", "from halfshaft.cosim.cli import app; app()", "show", "small-car-series"]
+    result = subprocess.run(command, env=env, capture_output=True, check=False)
+    assert result.returncode == 0
+    assert result.stdout.isascii()
+
+
+def test_version_and_help():
+    assert done("--version") == f"halfshaft {halfshaft.__version__}\n"
+    for command in ("run", "accelerate", "fmu", "reproduce", "bench", "list", "show"):
+        assert f"halfshaft {command}" in done(command, "--help")
+
+
+def test_public_names():
+    for name in halfshaft.__all__:
+        assert getattr(halfshaft, name) is not None
+        assert name in dir(halfshaft)
+    with pytest.raises(AttributeError, match="no attribute 'runn'"):
+        _ = halfshaft.runn
+
+
+def test_importing_the_package_is_cheap():
+    code = "import sys, halfshaft; sys.exit('casadi' in sys.modules or 'numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,278 @@
+"""Runs against what can be worked out without the package."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from halfshaft.cosim.account import account
+from halfshaft.cosim.acceleration import accelerate
+from halfshaft.cosim.compiled import stepper
+from halfshaft.cosim.cycle import Cycle, cycle_names
+from halfshaft.cosim.simulate import run
+from halfshaft.library.battery import Battery
+from halfshaft.library.gearbox import PolynomialGearbox, PolynomialGearboxParameters
+from halfshaft.library.ports import Tyre
+from halfshaft.library.tables import Table
+from halfshaft.models.assembly import step_turning
+from halfshaft.models.electric import electric
+from halfshaft.models.vehicle import Vehicle, vehicle_names
+
+CAR = Vehicle.load("small-car-electric")
+
+
+def constant(value, axes=1, clip=True):
+    return Table.of(*([0.0],) * axes, values=np.full((1,) * axes, float(value)), clip=clip)
+
+
+def lossless():
+    """Return the parts of an electric car in which nothing is lost but to the road."""
+    parts = CAR.components()
+
+    def changed(role, **values):
+        parts[role] = replace(parts[role], p=replace(parts[role].p, **values))
+
+    none = dict.fromkeys(("c1", "c2", "c3", "c4", "c5", "c6"), 0.0)
+    parts["gearbox"] = PolynomialGearbox(PolynomialGearboxParameters(ratios=(6.0,), **none))
+    changed("wheel", J=0.0, mu_max=2.0, slip=constant(0), tau_bearing=constant(0, clip=False))
+    changed("wheel", share_driveline=constant(1), share_front=constant(0))
+    # tau * omega is bilinear: four points give it exactly.
+    square = Table.of([0.0, 1000.0], [-1000.0, 1000.0], values=[[0.0, 0.0], [-1e6, 1e6]], clip=False)
+    changed("motor", P_electric=square, tau_max=constant(1e5, clip=False), tau_min=constant(-1e5, clip=False), J=0.0, I_max=1e9, omega_max=1e4)
+    changed("accessories", P_on=0.0)
+    changed("battery", **ideal_battery())
+    return parts
+
+
+def ideal_battery(u=400.0, r=1e-9, eta=1.0, Q=1e6, soc=0.6):
+    """Return parameters of a pack of one module with constant voltage and resistance."""
+    tables = {"u_oc": constant(u, 2), "r_discharge": constant(r, 2), "r_charge": constant(r, 2), "Q": constant(Q), "eta_coulomb": constant(eta)}
+    return {**tables, "n_modules": 1.0, "u_min": 0.0, "u_max": 1e4, "soc_start": soc}
+
+
+class Made:
+    """A model that no vehicle file describes, ready to run."""
+
+    def __init__(self, parts):
+        self.stepper = stepper(electric(parts))
+        self.parameters = np.array([d.start for d in self.stepper.step.parameters])
+
+    def run(self, cycle, dt):
+        samples = cycle.sampled(dt)
+        march = self.stepper.march(samples, self.parameters)
+        names = [d.name for d in self.stepper.step.outputs]
+        self.energies = dict(zip(names, march.sums.tolist(), strict=True))
+        return {n: march.history[:, i] for i, n in enumerate(names)} | {"t": samples.t, "v_request": samples.v}
+
+
+@pytest.fixture(scope="module")
+def ideal():
+    return Made(lossless())
+
+
+V, T_UP, T_FLAT, T_DOWN = 20.0, 16.0, 20.0, 12.0
+TRAPEZOID = Cycle(name="trapezoid", time=np.cumsum([0.0, T_UP, T_FLAT, T_DOWN]), speed=np.array([0.0, V, V, 0.0]))
+
+
+def road(parts):
+    body, wheel = parts["body"].p, parts["wheel"].p
+    return body.m, body.m * body.g * wheel.f_0, 0.5 * body.rho * body.c_d * body.A
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.5, 0.1])
+def test_a_lossless_car_draws_the_energy_of_its_road_load(ideal, dt):
+    _, roll, aero = road(lossless())
+    series = ideal.run(TRAPEZOID, dt)
+    # Forces are those at the mean speed of a step: of v^3 on a ramp the mean is  v^3 + v (a dt)^2 / 4.
+    distance = V * (T_FLAT + (T_UP + T_DOWN) / 2)
+    cubes = V**3 * (T_FLAT + (T_UP + T_DOWN) / 4) - sum(0.25 * (V / T * dt) ** 2 * V * T / 2 for T in (T_UP, T_DOWN))
+    assert ideal.energies["battery.P_stored"] == pytest.approx(roll * distance + aero * cubes, rel=1e-9)
+    assert series["body.distance"][-1] == pytest.approx(distance, rel=1e-12)
+    # What the chemistry gave is what the account says.
+    assert (0.6 - series["battery.soc"][-1]) * 1e6 * 400 == pytest.approx(ideal.energies["battery.P_stored"], rel=1e-9)
+
+
+def test_the_energy_of_a_lossless_car_converges_to_the_continuous_one_with_the_square_of_the_step(ideal):
+    _, roll, aero = road(lossless())
+    exact = roll * V * (T_FLAT + (T_UP + T_DOWN) / 2) + aero * V**3 * (T_FLAT + (T_UP + T_DOWN) / 4)
+    errors = []
+    for dt in (1.0, 0.5, 0.25, 0.02):
+        ideal.run(TRAPEZOID, dt)
+        errors.append(exact - ideal.energies["battery.P_stored"])
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=1e-3)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=1e-3)
+    assert abs(errors[-1]) < 1e-6 * exact
+
+
+def test_a_hill_costs_its_potential_energy_and_gives_it_back(ideal):
+    m, roll, aero = road(lossless())
+    grade = 0.05
+    climb = Cycle(name="hill", time=TRAPEZOID.time, speed=TRAPEZOID.speed, grade=np.full(4, grade))
+    cos = 1 / np.sqrt(1 + grade**2)
+    up = ideal.run(climb, 0.5)
+    stored = ideal.energies["battery.P_stored"]
+    s = up["body.distance"][-1]
+    assert up["body.elevation"][-1] == pytest.approx(s * grade * cos, rel=1e-12)
+    ideal.run(TRAPEZOID, 0.5)
+    flat = ideal.energies["battery.P_stored"]
+    assert stored - flat == pytest.approx(m * 9.81 * s * grade * cos - roll * (1 - cos) * s, rel=1e-9)
+    ideal.run(replace(climb, grade=-climb.grade), 0.5)
+    assert ideal.energies["battery.P_stored"] + stored == pytest.approx(2 * (flat - roll * (1 - cos) * s), rel=1e-9)
+
+
+def test_coasting_follows_the_closed_solution_to_second_order():
+    body, wheel = CAR.components()["body"], CAR.components()["wheel"]
+    m, roll, aero = body.p.m, body.p.m * body.p.g * wheel.p.f_0, 0.5 * body.p.rho * body.p.c_d * body.p.A
+    resistance = body.resistance(0.0, (wheel.p.f_0, 0.0))
+    v_start, duration = 30.0, 60.0
+
+    def coasted(dt):
+        v = v_start
+        for _ in range(round(duration / dt)):
+            # Nothing at the tyres, and no driveline that bounds the speed.
+            v = float(body.available(Tyre(0.0, 1e3, 0.0), 1e3, v, 0.0, 0.0, v, 0.0, dt, step_turning, resistance)["next_v"])
+        return v
+
+    a, b = roll / m, aero / m
+    exact = np.sqrt(a / b) * np.tan(np.arctan(v_start * np.sqrt(b / a)) - np.sqrt(a * b) * duration)
+    errors = [abs(coasted(dt) - exact) for dt in (4.0, 2.0, 1.0)]
+    assert 5 < exact < 25
+    # At the mean speed of the step: the midpoint rule.
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.05)
+    assert errors[2] < 2e-4
+
+
+def test_a_coasting_body_comes_to_rest_and_stays():
+    body = CAR.components()["body"]
+    resistance = body.resistance(0.0, (0.01, 0.0))
+    v = 1.0
+    for _ in range(30):
+        v = float(body.available(Tyre(0.0, 1e3, 0.0), 1e3, v, 0.0, 0.0, v, 0.0, 1.0, step_turning, resistance)["next_v"])
+    assert v == 0
+
+
+def pack(**values):
+    base = CAR.components()["battery"].p
+    return Battery(replace(base, **{**ideal_battery(r=0.1, eta=0.9), **values}))
+
+
+STILL = Cycle(name="still", time=np.array([0.0, 600.0]), speed=np.zeros(2))
+
+
+@pytest.mark.parametrize("P", [500.0, 20e3])
+def test_a_pack_under_constant_power_empties_in_a_straight_line(P):
+    parts = CAR.components()
+    parts["battery"] = pack()
+    parts["accessories"] = replace(parts["accessories"], p=replace(parts["accessories"].p, P_on=P, eta=1.0))
+    made = Made(parts)
+    series = made.run(STILL, 1.0)
+    U, R = 400.0, 0.1
+    current = (U - np.sqrt(U**2 - 4 * R * P)) / (2 * R)
+    np.testing.assert_allclose(series["battery.soc"], 0.6 - current * series["t"] / 1e6, rtol=1e-12)
+    assert made.energies["battery.P_loss"] == pytest.approx(R * current**2 * 600, rel=1e-9)
+    assert series["battery.U"][-1] == pytest.approx(U - R * current, rel=1e-12)
+
+
+def test_a_pack_stores_the_coulombic_share_of_what_it_is_charged_with():
+    battery, motor = pack(), CAR.components()["motor"].p
+    limits = battery.limits_at(0.5, 293.15, motor)
+    given = {n: float(x) for n, x in battery.available(type("P", (), {"P": -10e3}), limits, 0.5, 293.15, 1.0).items() if n != "dc"}
+    current = (400 - np.sqrt(400**2 + 4 * 0.1 * 10e3)) / 0.2
+    assert given["I"] == pytest.approx(current, rel=1e-12)
+    assert given["next_soc"] - 0.5 == pytest.approx(-0.9 * current / 1e6, rel=1e-9)
+    assert given["P_loss"] == pytest.approx(0.1 * current**2 + 0.1 * 400 * abs(current), rel=1e-9)
+
+
+def test_a_pack_warms_exponentially_with_first_order_in_the_step():
+    parts = CAR.components()
+    parts["battery"] = pack(T_fan=400.0)
+    P = 20e3
+    parts["accessories"] = replace(parts["accessories"], p=replace(parts["accessories"].p, P_on=P, eta=1.0))
+    made, p = Made(parts), parts["battery"].p
+    current = (400 - np.sqrt(400**2 - 4 * 0.1 * P)) / 0.2
+    tau = p.R_th_still * p.mass * p.c_p
+    exact = 293.15 + 0.1 * current**2 * p.R_th_still * (1 - np.exp(-600 / tau))
+    errors = [abs(made.run(STILL, dt)["battery.T"][-1] - exact) for dt in (40.0, 20.0, 10.0)]
+    assert exact > 294
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(1, abs=0.1)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(1, abs=0.1)
+
+
+# ---- convergence
+
+_TIME = np.arange(0, 80.005, 0.01)
+#: Smooth in speed and acceleration, driven and braked, and never at a limit or at rest.
+SMOOTH = Cycle(name="smooth", time=_TIME, speed=5 + 12 * np.sin(np.pi * _TIME / 80) ** 4 + 3 * np.sin(2 * np.pi * _TIME / 80) ** 4)
+
+
+def drawn(vehicle, cycle, dt):
+    result = run(vehicle, cycle, dt=dt)
+    assert np.abs(result["body.trace_miss"]).max() < 1e-9
+    return result.energies["battery.P_stored"]
+
+
+def test_energy_converges_with_first_order_in_the_step():
+    fine = drawn(CAR, SMOOTH, 0.01)
+    errors = [abs(drawn(CAR, SMOOTH, dt) - fine) for dt in (1.0, 0.5, 0.25, 0.125)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    # Inertia works by the difference quotient of the past, and voltage is that of the start of the step.
+    assert orders == pytest.approx(np.ones(3), abs=0.35), orders
+    assert errors[0] < 0.01 * fine
+
+
+def test_the_step_goes_over_into_the_forward_facing_model():
+    forward = run(CAR, SMOOTH, via="forward")
+    reference = forward.account.battery
+    errors = [abs(drawn(CAR, SMOOTH, dt) - reference) / reference for dt in (1.0, 0.5, 0.1)]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 0.002
+    assert np.abs(forward["body.v"] - SMOOTH.sampled(0.1).v).max() < 0.05
+
+
+# ---- the account
+
+MODES = ("hybrid", "refined")
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("cycle", cycle_names())
+@pytest.mark.parametrize("vehicle", vehicle_names())
+def test_energy_balances_for_every_vehicle_on_every_cycle(vehicle, cycle, mode):
+    result = run(Vehicle.load(vehicle), Cycle.load(cycle), mode=mode)
+    # Sums over some thousand steps of a hundred roundings each: 1e-11; the design asks for 1e-9.
+    assert abs(result.account.balance_relative) < 1e-9
+    # And in every single step, against the largest power of the run.
+    booked = sum(s * result[d.name] for d in result.outputs for s in [{"": 0, "fuel": 1, "stored": 1}.get(d.booking, -1)])
+    assert np.abs(booked).max() < 1e-9 * max(np.abs(result["body.P_kinetic"]).max(), 1e3)
+
+
+@pytest.mark.parametrize("vehicle", vehicle_names())
+def test_kinetic_and_stored_energies_are_the_differences_of_their_states(vehicle):
+    vehicle = Vehicle.load(vehicle)
+    cycle = Cycle.load("us06")
+    result = run(vehicle, replace(cycle, time=cycle.time[:300], speed=cycle.speed[:300]))
+    v = result["body.v"][-1]
+    assert result.energies["body.P_kinetic"] == pytest.approx(0.5 * vehicle.values["body.m"] * v**2, rel=1e-9)
+    if "engine" in vehicle.parts:
+        burnt = result["engine.fuel_used"][-1] * vehicle.values["engine.H_fuel"]
+        assert result.energies["engine.P_fuel"] == pytest.approx(burnt, rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("vehicle", vehicle_names())
+def test_losses_of_a_run_are_not_negative(vehicle):
+    result = run(Vehicle.load(vehicle), Cycle.load("us06"))
+    assert {n: e for n, e in result.account.losses.items() if e < -1e-6} == {}
+
+
+@pytest.mark.parametrize("vehicle", vehicle_names())
+def test_the_refined_step_leaves_no_speed_mismatch(vehicle):
+    vehicle = Vehicle.load(vehicle)
+    assert abs(run(vehicle, Cycle.load("us06"), mode="refined").account.mismatch_relative) < 1e-3
+    assert abs(accelerate(vehicle, mode="refined").result.account.mismatch_relative) < 1e-3
+
+
+def test_the_account_of_the_lossless_car_has_no_losses_but_those_of_the_road(ideal):
+    ideal.run(TRAPEZOID, 0.5)
+    losses = account(ideal.stepper.step.outputs, ideal.energies).losses
+    assert {n for n, e in losses.items() if abs(e) > 1e-2} == {"body.P_aero", "body.P_roll"}
