@@ -1,0 +1,92 @@
+"""The tutorial runs, the commands in the documents exist, and so do the pages."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from halfshaft.cosim.cli import app
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"`(halfshaft [^`]*)`")
+LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
+
+
+def blocks(page, language):
+    """Return the code blocks of a page in a language, each with empty lines before it so that errors name its lines."""
+    text = page.read_text(encoding="utf-8")
+    return ["\n" * (text[: m.start(2)].count("\n")) + m[2] for m in BLOCK.finditer(text) if m[1] == language]
+
+
+def commands(page):
+    """Return the command lines of halfshaft on a page: lines of shell blocks, and quoted ones with arguments."""
+    lines = [line.strip() for block in blocks(page, "sh") for line in block.splitlines()]
+    lines += COMMAND.findall(BLOCK.sub("", page.read_text(encoding="utf-8")))
+    return [line for line in lines if re.match(r"halfshaft [a-z-]", line)]
+
+
+def anchor(heading):
+    """Return the anchor that a heading gets."""
+    return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.strip().lower()))
+
+
+def test_tutorial_runs_from_top_to_bottom(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = DOCS / "tutorial.md"
+    space = {"__name__": "tutorial"}
+    found = blocks(page, "python")
+    assert len(found) > 10
+    for block in found:
+        exec(compile(block, str(page), "exec"), space)
+
+
+def test_example_of_the_readme_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (example,) = blocks(ROOT / "README.md", "python")
+    exec(compile(example, "README.md", "exec"), {"__name__": "readme"})
+
+
+@pytest.mark.parametrize(("page", "line"), [pytest.param(p, line, id=f"{p.stem}: {line}") for p in PAGES for line in commands(p)])
+def test_command_exists_with_its_options(page, line):
+    name, *arguments = shlex.split(line, comments=True)[1:]
+    known = typer.main.get_command(app).commands
+    assert name in known, f"{page.name} names a command that does not exist: {line}"
+    options = {o for parameter in known[name].params for o in (*parameter.opts, *parameter.secondary_opts)} | {"-h", "--help"}
+    used = {a.partition("=")[0] for a in arguments if re.match(r"--?[a-z]", a)}
+    assert used <= options, f"{page.name}: {line}"
+
+
+def test_every_command_is_described():
+    text = (DOCS / "command-line.md").read_text(encoding="utf-8")
+    for name, command in typer.main.get_command(app).commands.items():
+        assert f"halfshaft {name}" in text
+        for parameter in command.params:
+            long = [o for o in parameter.opts if o.startswith("--")]
+            assert not long or f"`{long[0]}" in text, f"{name} {long[0]}"
+
+
+def test_readme_names_targets_of_the_makefile():
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    named = {t for page in PAGES for t in re.findall(r"\bmake ([a-z]+)`", page.read_text(encoding="utf-8"))}
+    assert {"demo", "test"} <= named <= targets
+
+
+def test_navigation_has_every_page():
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("nav:")[2]
+    assert sorted(re.findall(r": (\S+\.md)$", nav, re.MULTILINE)) == sorted(p.name for p in DOCS.glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page):
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    for target, place in LINK.findall(text):
+        goal = page.parent / target if target else page
+        assert goal.exists(), f"{page.name} links to {target}"
+        if place:
+            headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", goal.read_text(encoding="utf-8")), re.MULTILINE)
+            assert place in {anchor(h) for h in headings}, f"{page.name} links to {target}#{place}"
