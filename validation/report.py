@@ -109,14 +109,20 @@ def _key(tables: Mapping[str, Any]) -> str:
     energies += [(tables["4"][ours][1], tables["4"][printed][1]) for ours, printed in both]
     refined = [abs(x) for n in ("2", "3", "4") for x in tables[n]["difference_refined"] if x is not None]
     ratios = [x for x in tables["5"]["ratio"] if x is not None]
-    faster = f"{min(ratios):.0f} to {max(ratios):.0f} times" if ratios else "&ndash;"
+    faster = f"{_round(min(ratios))} to {_round(max(ratios))} times" if ratios else "&ndash;"
+    error = "&ndash;" if not refined else f"{max(refined):.4f} %" if max(refined) > 1e-4 else "&lt; 0.0001 %"
     entries = [
         (f"{gap(times)} s", "largest distance from the paper's eight acceleration times"),
         (f"{gap(energies)} kWh", "largest distance from the paper's eight energies"),
-        (f"{max(refined):.4f} %" if refined else "&ndash;", "largest error of the refined method; the paper's method errs by up to 1.9 %"),
+        (error, "largest error of the refined method; the paper's method errs by up to 1.9 %"),
         (faster, "faster than the forward-facing model; in the paper 1.7 to 8.0"),
     ]
     return "".join(f"<div><b>{value}</b>{text}</div>" for value, text in entries)
+
+
+def _round(x: float) -> str:
+    """Return a number with two digits that count."""
+    return f"{float(f'{x:.2g}'):,.0f}".replace(",", "&#8239;")
 
 
 def _row(name: str, cells: Sequence[tuple[str, bool]]) -> str:

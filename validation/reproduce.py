@@ -87,7 +87,12 @@ def reproduce(out: Path | None = None, progress: Callable[[str], None] | None = 
     }
     say("figures")
     limited = accelerate(cars["2393 kg"].with_values({"motor.I_max": I_MAX})).result
-    result: dict[str, Any] = {"source": paper.SOURCE, "tables": tables, "figures": _facts(limited, accelerations, cycles), "notes": notes}
+    result: dict[str, Any] = {
+        "source": paper.SOURCE,
+        "tables": tables,
+        "figures": figure_facts(limited, accelerations, cycles),
+        "notes": notes,
+    }
     if out is not None:
         drawings: dict[str, Drawing] = {
             **acceleration_drawings(limited),
@@ -165,7 +170,7 @@ def _timed(task: Callable[[Via], Result], via: Via) -> float:
     return time.perf_counter() - start
 
 
-def _facts(limited: Result, accelerations: Runs, cycles: Runs) -> dict[str, dict[str, float]]:
+def figure_facts(limited: Result, accelerations: Runs, cycles: Runs) -> dict[str, dict[str, float]]:
     """Return the values that the paper's text names for its figures, from our runs."""
     t, torques = limited.time, (limited["motor.tau_required"], limited["motor.tau_limited"])
     over_current = t[limited["motor.P_map"] > limited["motor.P_in_required"] + 1]

@@ -18,7 +18,11 @@ SHAPES = {
     "line": (7,), "two_points": (2,), "long_line": (60,), "plane": (5, 9), "space": (4, 3, 6),
     "one_point": (1,), "one_row": (1, 6), "one_column": (6, 1), "one_gear": (5, 4, 1), "one_of_three": (1, 1, 5), "nothing": (1, 1),
 }  # fmt: skip
-TABLES = {f"{name}_{'clip' if clip else 'line'}": table(*shape, clip=clip, seed=i) for i, (name, shape) in enumerate(SHAPES.items()) for clip in (True, False)}
+TABLES = {
+    f"{name}_{'clip' if clip else 'line'}": table(*shape, clip=clip, seed=i)
+    for i, (name, shape) in enumerate(SHAPES.items())
+    for clip in (True, False)
+}
 every_table = pytest.mark.parametrize("name", TABLES)
 
 
@@ -124,7 +128,8 @@ def test_derivatives_of_c_and_interpolant_agree(name, compiled):
     # On a kink either side is right; leave knots and edges out.
     away = np.all([np.all(np.abs(row[:, None] - p) > 1e-9, axis=1) for row, p in zip(points, t.points, strict=True)], axis=0)
     first, second = (g(points[:, away]).full() for g in gradients)
-    np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-11 * size(t) / min(np.diff(p).min() for p in (*t.points, np.arange(2.0)) if len(p) > 1))
+    steepest = size(t) / min(np.diff(p).min() for p in (*t.points, np.arange(2.0)) if len(p) > 1)
+    np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-11 * steepest)
 
 
 @every_table

@@ -53,7 +53,10 @@ def test_step_by_step_is_the_march(powertrain, marches):
 @every_powertrain
 def test_a_march_in_two_halves_is_the_march(powertrain, marches):
     compiled, parameters, march = marches[powertrain]
-    halves = [UDDS._replace(**{f: getattr(UDDS, f)[part] for f in ("t", "dt", "v", "grade", "key_on")}) for part in (slice(0, 700), slice(700, None))]
+    halves = [
+        UDDS._replace(**{f: getattr(UDDS, f)[part] for f in ("t", "dt", "v", "grade", "key_on")})
+        for part in (slice(0, 700), slice(700, None))
+    ]
     first = compiled.march(halves[0], parameters)
     second = compiled.march(halves[1], parameters, state=first.state)
     assert np.array_equal(second.state, march.state)
@@ -70,7 +73,7 @@ def test_sums_and_maxima_are_those_of_the_history(powertrain, marches):
 
 @every_powertrain
 def test_without_a_compiler_the_step_is_the_same_to_rounding(powertrain, marches):
-    compiled, parameters, march = marches[powertrain]
+    _, parameters, march = marches[powertrain]
     alone = InterpretedStep(assemble(model_of(Vehicle.load(VEHICLES[powertrain])))).march(UDDS, parameters)
     # Interpolants round otherwise than the C; nothing in a cycle amplifies that.
     scale = np.abs(march.history).max(axis=0).clip(1)

@@ -18,7 +18,13 @@ CARS = {
     "half empty": {"battery.soc_start": 0.3},
     "little current": {"motor.I_max": 80.0},
     "slow motor": {"motor.speed_scale": 0.6, "motor.torque_scale": 1.4, "motor.efficiency_scale": 0.9, "gearbox.ratios_1": 6.0},
-    "losses in the final drive": {"final_drive.i": 2.0, "gearbox.ratios_1": 3.3, "final_drive.tau_loss": 3.0, "final_drive.J": 0.02, "gearbox.J": 0.01},
+    "losses in the final drive": {
+        "final_drive.i": 2.0,
+        "gearbox.ratios_1": 3.3,
+        "final_drive.tau_loss": 3.0,
+        "final_drive.J": 0.02,
+        "gearbox.J": 0.01,
+    },
 }
 
 

@@ -202,7 +202,7 @@ def test_a_new_part_works_in_the_forward_facing_plant():
     series = {n: done.history[:, i] for i, n in enumerate(names)}
     moving = series["motor.omega"] > 1
     np.testing.assert_allclose(series["bearing.P_loss"][moving], 2.0 * series["motor.omega"][moving], rtol=1e-12)
-    booked = account(made.plant.booked, done.energies)
+    booked = account(made.plant.powers, done.energies)
     # The tolerance of the integrator is 1e-8; a few hundred starts of it add up.
     assert abs(booked.balance_relative) < 1e-6
     # The step asks for the same energy but for its discretisation.

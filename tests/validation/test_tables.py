@@ -9,7 +9,7 @@ from halfshaft.models.vehicle import Vehicle
 from halfshaft.validation import paper
 from halfshaft.validation.figures import acceleration_drawings, deviations_drawing, png
 from halfshaft.validation.report import report
-from halfshaft.validation.reproduce import _facts
+from halfshaft.validation.reproduce import I_MAX, figure_facts
 
 CARS = {f"{m} kg": Vehicle.load(f"paper-series-{m}") for m in paper.MASSES}
 CARS["no inertia"] = CARS["1936 kg"].with_values({"motor.J": 0.0})
@@ -71,10 +71,10 @@ def test_hybrid_errs_in_the_direction_of_the_paper(us06):
 
 
 def test_figures_and_report_show_what_the_paper_names(us06):
-    limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": 161.0})).result
+    limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": I_MAX})).result
     accelerations = {mode: {n: accelerate(CARS[n], mode=mode).result for n in ("1459 kg",)} for mode in ("hybrid", "iteration")}
     cycles = {"hybrid": {"2393 kg": run(CARS["2393 kg"], us06)}}
-    facts = _facts(limited, accelerations, cycles)
+    facts = figure_facts(limited, accelerations, cycles)
     assert facts["2"]["F_required_max_N"] == pytest.approx(2.1e6, rel=0.05)
     assert facts["2"]["F_limited_max_N"] == pytest.approx(1.2e4, rel=0.05)
     assert facts["6"]["t_top_speed_s"] == pytest.approx(42, abs=1)
