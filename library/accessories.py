@@ -15,7 +15,9 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Link, State, TwoSided, clip, where
+from halfshaft.library.component import State
+from halfshaft.library.expressions import clip, where
+from halfshaft.library.links import Link, TwoSided
 from halfshaft.library.parameters import Parameters, param
 from halfshaft.library.ports import Electric, Expr, Port, Shaft
 

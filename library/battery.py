@@ -25,7 +25,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, face, plant, where
+from halfshaft.library.component import Component, State, Variable, face, plant
+from halfshaft.library.expressions import where
 from halfshaft.library.motor import MotorParameters
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Electric, Expr, Port

@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Turning, Variable, face, plant, where
+from halfshaft.library.component import Component, State, Variable, face, plant
+from halfshaft.library.expressions import Turning, where
 from halfshaft.library.parameters import Parameters, param
 from halfshaft.library.ports import Expr, Port, Tyre
 

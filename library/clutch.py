@@ -12,8 +12,10 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Link, TwoSided, Variable, clip, face, plant, where
+from halfshaft.library.component import Variable, face, plant
 from halfshaft.library.engine import Engine
+from halfshaft.library.expressions import clip, where
+from halfshaft.library.links import Link, TwoSided
 from halfshaft.library.parameters import Parameters
 from halfshaft.library.ports import Expr, Port, Shaft
 

@@ -19,8 +19,9 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, clip, face, where
+from halfshaft.library.component import Component, State, Variable, face
 from halfshaft.library.engine import Engine
+from halfshaft.library.expressions import clip, where
 from halfshaft.library.parameters import Parameters, param
 from halfshaft.library.ports import Expr
 

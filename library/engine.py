@@ -22,7 +22,8 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Turning, Variable, clip, face, plant, where
+from halfshaft.library.component import Component, State, Variable, face, plant
+from halfshaft.library.expressions import Turning, clip, where
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from halfshaft.library.component import Link, Turning, TwoSided, drag, inertia, ratio
+from halfshaft.library.expressions import Turning
+from halfshaft.library.links import Link, TwoSided, drag, inertia, ratio
 from halfshaft.library.parameters import Parameters, param
 from halfshaft.library.ports import Port, Shaft
 

@@ -29,7 +29,9 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Direction, Link, State, Turning, TwoSided, Variable, clip, face, inertia, limit, where
+from halfshaft.library.component import State, Variable, face
+from halfshaft.library.expressions import Direction, Turning, clip, where
+from halfshaft.library.links import Link, TwoSided, inertia, limit
 from halfshaft.library.parameters import Parameters, param, params, table
 from halfshaft.library.ports import Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table

@@ -23,7 +23,9 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Link, State, Turning, TwoSided, Variable, clip, face, inertia, limit, plant, where
+from halfshaft.library.component import State, Variable, face, plant
+from halfshaft.library.expressions import Turning, clip, where
+from halfshaft.library.links import Link, TwoSided, inertia, limit
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table

@@ -23,8 +23,9 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from halfshaft.library.component import Component, State, Variable, clip, face, where
+from halfshaft.library.component import Component, State, Variable, face
 from halfshaft.library.engine import Engine, EngineParameters
+from halfshaft.library.expressions import clip, where
 from halfshaft.library.generator import Generator, GeneratorParameters
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr

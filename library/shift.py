@@ -19,7 +19,8 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, clip, face, where
+from halfshaft.library.component import Component, State, Variable, face
+from halfshaft.library.expressions import clip, where
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr
 from halfshaft.library.tables import Axis, Table

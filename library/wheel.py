@@ -23,7 +23,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from halfshaft.library.body import BodyParameters
-from halfshaft.library.component import Component, Link, State, Turning, Variable, clip, drag, face, inertia, plant, where
+from halfshaft.library.component import Component, State, Variable, face, plant
+from halfshaft.library.expressions import Turning, clip, where
+from halfshaft.library.links import Link, drag, inertia
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr, Port, Shaft, Tyre
 from halfshaft.library.tables import Axis, Table

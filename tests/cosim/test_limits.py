@@ -233,3 +233,27 @@ def test_with_the_key_off_nothing_is_used(name):
         assert np.all(result["battery.P_stored"][off] <= 0)
         assert np.all(result["battery.P_stored"][off][2:] == 0)
     assert balanced(result)
+
+
+def open_question(name, reason):
+    return pytest.param(name, marks=pytest.mark.xfail(reason=reason, strict=True))
+
+
+@pytest.mark.parametrize("cycle", ["us06", "nycc"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        ELECTRIC,
+        "paper-series-2393",
+        open_question(
+            CONVENTIONAL, "after a downshift the clutch slips though its output is faster than the engine; slip at a braked wheel"
+        ),
+        open_question("small-car-series-follower", "behind an open clutch nothing drives the generator's rotor"),
+    ],
+)
+def test_no_part_gives_more_than_it_gets_in_any_step(name, cycle):
+    # Refined: in hybrid steps that miss the trace, powers belong to two speeds.
+    result = run(vehicle_of(name), cycle_of(cycle), mode="refined")
+    lowest = {d.name: result[d.name].min() for d in result.outputs if d.booking == "loss"}
+    # Rounding of powers up to 100 kW.
+    assert {loss: P for loss, P in lowest.items() if P < -1e-6} == {}

@@ -13,8 +13,8 @@ import pytest
 
 from halfshaft.library.catalog import KINDS
 from halfshaft.library.clutch import Clutch
-from halfshaft.library.component import TwoSided
 from halfshaft.library.files import component_names, read_component
+from halfshaft.library.links import TwoSided
 from halfshaft.library.motor import OMEGA_OFF
 from halfshaft.library.ports import Electric, Shaft, Tyre
 from halfshaft.models.assembly import StepDirection, step_turning

@@ -7,8 +7,9 @@ from halfshaft.cosim.account import account
 from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.forward import Forward
-from halfshaft.library.component import Component, TwoSided, Variable, drag, face, inertia
+from halfshaft.library.component import Component, Variable, face
 from halfshaft.library.errors import WiringError
+from halfshaft.library.links import TwoSided, drag, inertia
 from halfshaft.library.parameters import Parameters, param
 from halfshaft.library.ports import Electric, Port, Shaft
 from halfshaft.models.assembly import assemble

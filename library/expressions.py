@@ -1,0 +1,31 @@
+"""Small expressions that several components share, for numbers and symbols alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias
+
+import casadi as ca
+
+#: Signal `turning`: tells of a speed whether something moves, as 0 or 1 in the step and smoothly in the forward-facing model.
+Turning: TypeAlias = Callable[[Any], Any]
+
+
+class Direction(Protocol):
+    """Signal `direction`: how a loss depends on whether a torque drives or brakes; smooth in the forward-facing model."""
+
+    def size(self, tau: Any) -> Any:
+        """Return the size of a torque."""
+
+    def loss(self, tau: Any, efficiency: Callable[[Any], Any]) -> Any:
+        """Return the torque lost behind an output torque: ``(1 - e) / e`` of it driving, ``1 - e`` braking."""
+
+
+def where(condition: Any, then: Any, otherwise: Any) -> Any:
+    """Return one of two values; both are evaluated, so both must be finite."""
+    return ca.if_else(condition, then, otherwise)
+
+
+def clip(x: Any, lowest: Any, highest: Any) -> Any:
+    """Return `x` cut to an interval."""
+    return ca.fmin(ca.fmax(x, lowest), highest)

@@ -1,0 +1,173 @@
+"""Chains of links: the physics once, and every use of it derived.
+
+A *link* is a law from the load point to the source point, and the rule for the way back.  A `TwoSided` component is a
+chain of links between its two ports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Literal, NamedTuple
+
+from halfshaft.library.component import Component, Face, Variable, arguments
+from halfshaft.library.ports import Expr, Port, Shaft
+
+
+class Link(NamedTuple):
+    """One law on the way from the wheel to the source.
+
+    ``law`` maps the load point to the source point: the physics.  ``back`` gives the delivered load point from the
+    point asked for, the point sent up, and the point offered from the source.  ``books`` says where the power that
+    the link takes goes.  ``limit`` marks a cut that a required point gets and that the way back leaves alone; the
+    forward-facing model has its limits elsewhere and skips it.
+    """
+
+    law: Callable[[Any], Any]
+    back: Callable[[Any, Any, Any], Any]
+    books: Literal["loss", "kinetic", ""] = "loss"
+    limit: bool = False
+    name: str = ""
+
+
+def limit(cut: Callable[[Any], Any], name: str = "") -> Link:
+    """Return a link that cuts the required point and lets the available one pass."""
+    return Link(cut, lambda asked, sent, offered: offered, "", True, name)
+
+
+def drag(tau: Expr | Callable[[Shaft], Expr]) -> Link:
+    """Return a torque loss at constant speed; the same torque is lost on the way back."""
+
+    def law(load: Shaft) -> Shaft:
+        return load._replace(tau=load.tau + (tau(load) if callable(tau) else tau))
+
+    def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
+        return offered._replace(tau=offered.tau - (sent.tau - asked.tau))
+
+    return Link(law, back)
+
+
+def inertia(J: Expr) -> Link:
+    """Return the torque that accelerates a rotor, ``J alpha``; on the way back it is the required one (eq. 5 and 11)."""
+
+    def law(load: Shaft) -> Shaft:
+        return load._replace(tau=load.tau + J * load.alpha)
+
+    def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
+        return offered._replace(tau=offered.tau - J * asked.alpha)
+
+    return Link(law, back, "kinetic")
+
+
+def ratio(i: Expr) -> Link:
+    """Return a lossless gear: the source turns ``i`` times as fast as the load."""
+    return Link(
+        lambda load: Shaft(load.tau / i, load.omega * i, load.alpha * i),
+        lambda asked, sent, offered: Shaft(offered.tau * i, offered.omega / i, offered.alpha / i),
+        "",
+    )
+
+
+class TwoSided(Component):
+    """A component between two ports, given by a chain of links from the load to the source.
+
+    Subclasses declare one port toward the wheel and one toward the source and implement `chain`.  From it follow
+
+    * ``required``: the asked point through all links, limits included;
+    * ``available``: the offered point back through them, with what ``required`` found (the paper's second assumption);
+    * a plant face: the same links without limits and memories, for the forward-facing model.
+    """
+
+    def chain(self) -> tuple[Link, ...]:
+        """Return the links from the wheel's side to the source's side; arguments are injected like a face's."""
+        raise NotImplementedError
+
+    @classmethod
+    def turns(cls) -> bool:
+        """Return whether the component has a rotor."""
+        return "J" in cls.parameters.__dataclass_fields__
+
+    def found(self, way: Any) -> Mapping[str, Any]:
+        """Return next values of memories, and variables, from the required way: triples of link, point asked, point sent."""
+        return {}
+
+    @classmethod
+    def sides(cls) -> tuple[Port, Port]:
+        """Return the port toward the wheel and the port toward the source."""
+        ports = cls.ports().values()
+        return next(p for p in ports if p.side == "wheel"), next(p for p in ports if p.side == "source")
+
+    def all_variables(self) -> tuple[Variable, ...]:
+        """Return the declared variables, the booked powers and the named links."""
+        books = [Variable("P_loss", "W", "power lost", "loss")]
+        if self.turns():
+            books.append(Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"))
+            books.append(Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"))
+        return (*self.variables, *books)
+
+    def faces(self) -> Iterator[Face]:
+        """Yield the two derived faces and the declared ones."""
+        load, source = self.sides()
+        takes, optional = arguments(self.chain)
+        turns = self.turns()
+        declared = {g for other in super().faces() for g in other.gives} | {"_way"}
+        names = tuple(v.name for v in self.variables if v.name not in declared)
+
+        def required(**x: Any) -> Mapping[str, Any]:
+            asked = x.pop(load.name)
+            way, named = [asked], {}
+            links = self.chain(**x)
+            for link in links:
+                way.append(link.law(way[-1]))
+                if link.name:
+                    named.update({f"{k}_{link.name}": v for k, v in way[-1]._asdict().items()})
+            handed = tuple(zip(links, way, way[1:], strict=False))
+            return {source.name: way[-1], "_way": handed, **named, **self.found(handed)}
+
+        def available(**x: Any) -> Mapping[str, Any]:
+            offered, loss, kinetic, error = x[source.name], 0, 0, 0
+            for link, asked, sent in reversed(x["_way"]):
+                delivered = link.back(asked, sent, offered)
+                taken = offered.P - delivered.P
+                if link.books == "loss":
+                    loss += taken
+                elif link.books == "kinetic":
+                    J_alpha = sent.tau - asked.tau
+                    rate = J_alpha * (asked.omega - asked.alpha * x["dt"] / 2)
+                    kinetic, error = kinetic + rate, error + taken - rate
+                offered = delivered
+            out = {load.name: offered, "P_loss": loss}
+            return {**out, "P_kinetic": kinetic, "P_discretisation": error} if turns else out
+
+        memory = tuple(f"next_{s.name}" for s in self.states)
+        yield Face("required", (load.name, *takes), optional, (source.name, "_way", *names, *memory), required)
+        booked = ("P_loss", "P_kinetic", "P_discretisation") if turns else ("P_loss",)
+        yield Face("available", (source.name, "_way", "dt"), {}, (load.name, *booked), available)
+        yield from super().faces()
+
+    def plant_faces(self) -> Iterator[Face]:
+        """Yield the chain without limits and memories, in continuous time, where no face of the subclass stands for it."""
+        declared = list(super().plant_faces())
+        yield from declared
+        load, source = self.sides()
+        if any(source.name in f.gives for f in declared):
+            return
+        takes, optional = arguments(self.chain)
+        books = ("P_loss", "P_kinetic") if self.turns() else ("P_loss",)
+
+        def flow(**x: Any) -> Mapping[str, Any]:
+            point, booked = self.continuous(x.pop(load.name), self.chain(**x))
+            return {source.name: point, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"]}
+
+        yield Face("flow", (load.name, *takes), optional, (source.name, *books), flow)
+
+    def continuous(self, load: Any, links: tuple[Link, ...]) -> tuple[Any, dict[str, Any]]:
+        """Return the source point and the booked powers in continuous time: no limits, nothing assumed."""
+        booked: dict[str, Any] = {"loss": 0, "kinetic": 0}
+        point = load
+        for link in links:
+            if not link.limit:
+                sent = link.law(point)
+                if link.books:
+                    booked[link.books] += sent.P - point.P
+                point = sent
+        return point, booked
