@@ -48,8 +48,6 @@ T = TypeVar("T")
 
 #: More steps than this do not fit into the memory of a small machine, all outputs kept.
 MOST_STEPS = 2_000_000
-#: A balance farther from zero than this part of the turnover is no rounding and no tolerance of an integrator.
-OPEN_BALANCE = 1e-5
 
 
 class Commands(TyperGroup):
@@ -612,10 +610,7 @@ def _print_run(console: Console, car: Vehicle, trace: Cycle, result: Result) -> 
         grid.add_row(f"[dim]{name}[/]", value, f"[dim]{other}[/]", also)
     console.print(Padding(grid, (1, 0, 0, 2), expand=False), highlight=False)
     console.print(_account_table(car, result))
-    warned = list(result.warnings)
-    if not abs(s["balance_relative"]) < OPEN_BALANCE:
-        warned.append(f"the energy account does not close: {s['balance_relative']:.1e} of the turnover is unaccounted for")
-    for text in warned:
+    for text in result.warnings:
         console.print(f"  ! {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
 
 

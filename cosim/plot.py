@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +16,7 @@ from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
 from halfshaft.cosim.result import Result
 from halfshaft.library.errors import InputError
+from halfshaft.library.writing import written_whole
 
 #: Formats by the ending of the file.
 FORMATS = ("png", "svg", "pdf")
@@ -65,13 +64,8 @@ def plot_run(result: Result, path: str | Path) -> Path:
         problems.append("the run has no time series to draw")
     if problems:
         raise InputError(str(target), problems)
-    try:
-        with tempfile.TemporaryDirectory(prefix=".plot-", dir=target.parent) as folder, mpl.rc_context(_STYLE):
-            part = Path(folder, f"part{target.suffix}")
-            figure(result).savefig(part, dpi=200, facecolor="white")
-            os.replace(part, target)
-    except OSError as error:
-        raise InputError(str(target), [f"cannot be written: {error.strerror or error}"]) from error
+    with written_whole(target) as part, mpl.rc_context(_STYLE):
+        figure(result).savefig(part, dpi=200, facecolor="white")
     return target
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +15,11 @@ import xarray as xr
 from halfshaft.cosim.account import Account, account
 from halfshaft.cosim.compiled import Array
 from halfshaft.library.errors import InputError
+from halfshaft.library.writing import written_whole
 from halfshaft.models.assembly import Description
+
+#: Relative residual of the energy account from which a run is doubtful.
+OPEN_BALANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,8 @@ class Result:
             found.append("motor at its top speed")
         if "engine.fuel_used" in self.last and self.last["engine.fuel_used"] == 0:
             found.append("no fuel used: the engine never ran")
+        if abs(self.account.balance_relative) > OPEN_BALANCE:
+            found.append(f"the energy account is open by {self.account.balance_relative:.1e} of the turnover")
         return tuple(found)
 
     def _plain(self) -> dict[str, Any]:
@@ -163,18 +167,11 @@ class Result:
             If the file cannot be written.
 
         """
-        target = Path(path)
-        try:
-            handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-            os.close(handle)
-            try:
-                self.dataset.to_netcdf(name, engine="h5netcdf")
-                os.replace(name, target)
-            finally:
-                Path(name).unlink(missing_ok=True)
-        except OSError as error:
-            raise InputError(str(target), [f"cannot be written: {error.strerror or error}"]) from error
-        return target
+        # HDF5 does not take a full disk well, so the file is made in memory.
+        content = self.dataset.to_netcdf(engine="h5netcdf")
+        with written_whole(path) as part:
+            part.write_bytes(content)
+        return Path(path)
 
     @classmethod
     def load(cls, path: str | Path) -> Result:

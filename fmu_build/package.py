@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from html import escape
@@ -14,7 +12,7 @@ from halfshaft.fmu_build.compiler import SUFFIX, shared_library
 from halfshaft.fmu_build.sources import sources
 from halfshaft.fmu_build.variables import CycleTable, Version, check, variables
 from halfshaft.fmu_build.xml import build_description, model_description, timestamp
-from halfshaft.library.errors import InputError
+from halfshaft.library.writing import written_whole
 from halfshaft.models.assembly import Step
 
 
@@ -79,19 +77,13 @@ def build_fmu(
 
 def _write(path: Path, content: Mapping[str, bytes]) -> Path:
     """Write an archive that depends on nothing but its content."""
-    try:
-        with tempfile.TemporaryDirectory(prefix=".fmu-", dir=path.parent) as folder:
-            part = Path(folder, "part")
-            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-                for name, data in sorted(content.items()):
-                    entry = zipfile.ZipInfo(name, timestamp().timetuple()[:6])
-                    entry.compress_type = zipfile.ZIP_DEFLATED
-                    entry.create_system = 3
-                    entry.external_attr = 0o644 << 16
-                    archive.writestr(entry, data)
-            os.replace(part, path)
-    except OSError as error:
-        raise InputError(str(path), [f"cannot be written: {error.strerror or error}"]) from error
+    with written_whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in sorted(content.items()):
+            entry = zipfile.ZipInfo(name, timestamp().timetuple()[:6])
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.create_system = 3
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data)
     return path
 
 

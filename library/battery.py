@@ -184,7 +184,8 @@ class Battery(Component):
         return {
             "der_soc": rates["soc"],
             "der_T": rates["T"],
-            "U": circuit.U_oc - circuit.R * current,
+            # No power lies beyond half of the open-circuit voltage; the solver may look there, but must not settle there.
+            "U": ca.fmax(circuit.U_oc - circuit.R * current, 0.5 * circuit.U_oc),
             "I": current,
             "P_stored": rates["P_stored"],
             "P_loss": rates["P_loss"],

@@ -58,6 +58,12 @@ class BodyParameters(Parameters):
     v_miss: float = param("m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, gt=0)
     v_start: float = param("m/s", "speed at the start", 0.0, ge=0)
 
+    def check(self) -> list[str]:
+        """Return what is wrong between parameters; a body this tall would tip over its wheels before they slip."""
+        known = isinstance(self.h, int | float) and isinstance(self.wheelbase, int | float)
+        high = known and self.h >= self.wheelbase / 2
+        return [f"h = {self.h:g} m must be below half of wheelbase = {self.wheelbase:g} m"] if high else []
+
 
 @dataclass(frozen=True)
 class Body(Component):
@@ -109,7 +115,8 @@ class Body(Component):
         """Return the force and mean speed that reach the requested end speed, equation (1)."""
         v_mean, a = (v + v_request) / 2, (v_request - v) / dt
         resistance = self.resistance(grade, rolling)
-        F = self.p.m * a + resistance.at(v_mean, turning(v_mean))
+        # A vehicle that stands and shall stand is held by its brakes, on a slope too.
+        F = where(v_mean > 0, self.p.m * a + resistance.at(v_mean, turning(v_mean)), 0)
         return {"tyre": Tyre(F, v_mean, a), "v_request": v_request, "a_request": a, "F_required": F, "_resistance": resistance}
 
     @face(
@@ -125,7 +132,7 @@ class Body(Component):
         moving = turning(tyre.v)
         B = 2 * m / dt + drag.roll_1 * moving
         C = -2 * m * v / dt - ca.fmax(tyre.F, A_FLOOR * m) + drag.roll_0 * moving + drag.climb
-        v_force = -2 * C / (B + ca.sqrt(B**2 - 4 * drag.aero * C))
+        v_force = -2 * C / (B + ca.sqrt(ca.fmax(B**2 - 4 * drag.aero * C, 0)))
         # The driveline's speed bounds the speed from above, in hard braking from below.  The original tells braking by
         # the force alone; a large inertia torque in a step without drive would then lift the speed.
         braking = ca.logic_and(tyre.F < -m, v_request < v)

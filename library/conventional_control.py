@@ -77,7 +77,9 @@ class ConventionalControl(Component):
         p, asked = self.p, tau_clutch > 1e-3
         idle_open = ca.logic_and(ca.logic_not(asked), ca.logic_or(p.open_when_braking, omega_input_estimate < p.omega_idle))
         is_open = where(decided, clutch_before == OPEN, ca.logic_or(shifting, idle_open))
-        slipping = ca.logic_and(ca.logic_and(asked, omega_input_estimate < omega_launch), clutch_before < 2.5)
+        # The estimate is that of the old gear: after a shift down the clutch may already turn faster.
+        omega_input = ca.fmax(omega_input_estimate, omega_clutch)
+        slipping = ca.logic_and(ca.logic_and(asked, omega_input < omega_launch), clutch_before < 2.5)
         slipping = where(decided, clutch_before == SLIPPING, ca.logic_and(slipping, ca.logic_not(is_open)))
         state = where(is_open, OPEN, where(slipping, SLIPPING, ENGAGED))
         on = ca.logic_and(key_on, ca.logic_or(p.idle_at_stop, ca.logic_not(is_open)))

@@ -63,6 +63,7 @@ class Engine(Component):
         State("omega_before", "rad/s", "speed of the previous step"),
         State("omega_free", "rad/s", "speed of the free engine, idling control left out"),
         State("command_before", "rad/s", "commanded speed of the previous step"),
+        State("ratio_before", "1", "ratio of the gear in the previous step"),
         State("fuel_used", "kg", "fuel burnt", shown=True),
     )
     variables = (
@@ -76,8 +77,13 @@ class Engine(Component):
         Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
         Variable("P_mismatch", "W", "power at the engine's own speed less that at the shaft", "mismatch"),
     )
-    plant_states = ((State("omega_engine", "rad/s", "speed of the engine", signal=True), "omega_before"), (states[3], "fuel_used"))
+    plant_states = ((State("omega_engine", "rad/s", "speed of the engine", signal=True), "omega_before"), (states[4], "fuel_used"))
     laws = ("tau_envelope", "engine")
+
+    def start(self, omega_idle: Expr) -> Mapping[str, Any]:  # type: ignore[override]
+        """Return the start values: idling."""
+        idling = dict.fromkeys(("omega_before", "omega_free", "command_before"), omega_idle)
+        return {**idling, "ratio_before": 1.0, "fuel_used": 0.0}
 
     @face("tau_envelope", "engine")
     def law(self) -> Mapping[str, Any]:
@@ -113,20 +119,21 @@ class Engine(Component):
         scale = p.speed_scale * p.torque_scale / p.efficiency_scale
         return scale * p.fuel(omega / p.speed_scale, tau / p.torque_scale)
 
-    @face("omega_engine", "next_omega_before", "next_omega_free", "next_command_before", "_tau_inertia")
+    @face("omega_engine", "next_omega_before", "next_omega_free", "next_command_before", "next_ratio_before", "_tau_inertia", "_tau_shaft")
     def speed(
         self, omega_command: Expr, engine_on: Expr, omega_idle: Expr, clutch_open: Expr, dt: Expr,
         omega_before: Expr, omega_free: Expr, command_before: Expr, trace_missed: Expr, speed_ratio: Expr,
-        clutch_slipping: Expr = 0.0, geared: Expr = 0.0, tau_accessory_before: Expr = 0.0,
+        ratio_before: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, tau_accessory_before: Expr = 0.0,
+        ratio: Expr = 1.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Estimate the engine's speed in this step."""
-        J = ca.fmax(self.p.J, 1e-6)
+        J = ca.fmax(self.p.J + J_shaft, 1e-6)
         missed = ca.logic_and(trace_missed, geared)
         spin_up = ca.fmin(self.tau_max(omega_before), J * (omega_command - omega_before) / dt + tau_accessory_before)
         tau_free = where(omega_command >= omega_before, spin_up, self.tau_closed(omega_before))
         free = ca.fmax(omega_free + dt * (tau_free - tau_accessory_before) / J, 0)
         follows = ca.logic_and(missed, ca.logic_not(clutch_slipping))
-        geared_speed = where(follows, command_before * speed_ratio, omega_command)
+        geared_speed = where(follows, command_before * speed_ratio * ratio / ratio_before, omega_command)
         omega = ca.fmax(ca.fmin(where(clutch_open, free, geared_speed), self.omega_max), omega_idle * engine_on)
         change = where(missed, ca.fmax(omega - omega_before, 0), omega - omega_before)
         return {
@@ -134,7 +141,9 @@ class Engine(Component):
             "next_omega_before": omega,
             "next_omega_free": where(clutch_open, free, omega),
             "next_command_before": omega_command,
+            "next_ratio_before": ratio,
             "_tau_inertia": self.p.J * change / dt,
+            "_tau_shaft": where(clutch_open, J_shaft * change / dt, 0),
         }
 
     @face(
@@ -143,14 +152,15 @@ class Engine(Component):
     )  # fmt: skip
     def available(
         self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr,
-        omega_before: Expr, fuel_used: Expr, _tau_inertia: Expr,
+        omega_before: Expr, fuel_used: Expr, _tau_inertia: Expr, _tau_shaft: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equation (1), and the fuel that it burns, equation (2)."""
         omega, closed = omega_engine, self.tau_closed(omega_engine)
         driven = ca.logic_or(omega <= omega_command + 1e-9, ca.logic_not(clutch_open))
-        highest = self.tau_max(omega)
-        tau_map = clip(where(driven, shaft.tau + _tau_inertia, closed), closed, highest)
-        tau = where(clutch_open, shaft.tau, tau_map - _tau_inertia)
+        # A genset that only spins turns its generator's rotor too.
+        asked, highest = shaft.tau + _tau_shaft, self.tau_max(omega)
+        tau_map = clip(where(driven, asked + _tau_inertia, closed), closed, highest)
+        tau = where(clutch_open, asked, tau_map - _tau_inertia)
         # Behind an open clutch the shaft is the engine's own, and carries the accessories only.
         omega_shaft = where(clutch_open, omega, shaft.omega)
         flow = where(engine_on, self.fuel_flow(tau_map, omega), 0)

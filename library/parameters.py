@@ -81,6 +81,9 @@ class Parameters:
         problems = []
         for f in fields(self):
             spec, value = spec_of(f), getattr(self, f.name)
+            if isinstance(value, Table) and (len(value.points), value.clip) != (len(spec.axes), spec.clip):
+                outside = "clipped" if spec.clip else "extrapolated"
+                problems.append(f"{f.name} has {len(value.points)} axes, must have {len(spec.axes)} and be {outside} outside of them")
             if isinstance(value, Table):
                 numbers: list[Any] = list(value.values.flat)
             else:

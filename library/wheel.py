@@ -41,7 +41,7 @@ class WheelParameters(Parameters):
     J: float = param("kg.m^2", "inertia of all wheels and axles", ge=0)
     f_0: float = param("1", "rolling resistance, constant part", ge=0)
     f_1: float = param("s/m", "rolling resistance, part that grows with speed", 0.0, ge=0)
-    mu_max: float = param("1", "largest force over weight", gt=0)
+    mu_max: float = param("1", "largest force over weight", gt=0, le=2)
     front_driven: float = param("1", "1 if the front axle is driven", 1.0, ge=0, le=1)
     rear_driven: float = param("1", "1 if the rear axle is driven", 0.0, ge=0, le=1)
     F_brake_front_max: float = param("N", "largest friction brake force, front", 1e7, gt=0)
@@ -216,8 +216,8 @@ class Wheel(Component):
             "v_driveline": v_driveline,
             "F_brake_front": F_front,
             "F_brake_rear": F_rear,
-            "P_brake": -(F_front + F_rear) * v_tyre,
-            "P_slip": F_driveline * (p.r * axle.omega - v_tyre),
+            "P_brake": -(F_driven - F_driveline) * p.r * axle.omega - (F - F_driven) * v_tyre,
+            "P_slip": F_driven * (p.r * axle.omega - v_tyre),
             "P_bearing": (after_bearing.tau - at_tread.tau) * axle.omega,
             "P_kinetic": kinetic,
             "P_discretisation": J_alpha * axle.omega - kinetic,
@@ -248,8 +248,8 @@ class Wheel(Component):
         axle = rotor.law(after_bearing)
         return {
             "axle": axle,
-            "P_brake": -(front + rear) * tyre.v,
-            "P_slip": point.P - F_driveline * tyre.v,
+            "P_brake": -(F_driven - F_driveline) * p.r * point.omega - (tyre.F - F_driven) * tyre.v,
+            "P_slip": F_driven * (p.r * point.omega - tyre.v),
             "P_bearing": after_bearing.P - point.P,
             "P_kinetic": axle.P - after_bearing.P,
         }

@@ -28,6 +28,14 @@ class Model:
         self.parts = dict(parts)
         self.connections: list[Connection] = []
         self._problems: list[str] = []
+        self._tried: set[tuple[str, str]] = set()
+        roles: dict[int, str] = {}
+        for part, component in self.parts.items():
+            if id(component) in roles:
+                self._problems.append(
+                    f"{roles[id(component)]} and {part} are one and the same {type(component).__name__}; each needs its own"
+                )
+            roles[id(component)] = part
 
     def _place(self, end: PortOf) -> str:
         for name, part in self.parts.items():
@@ -38,6 +46,7 @@ class Model:
     def connect(self, one: PortOf, other: PortOf) -> None:
         """Connect two ports, in any order; what does not fit is reported together by `check`."""
         names = {id(end): f"{self._place(end)}.{end.port.name} ({end.port.kind.__name__})" for end in (one, other)}
+        self._tried |= {(self._place(end), end.port.name) for end in (one, other)}
         both = f"cannot connect {names[id(one)]} to {names[id(other)]}"
         if one.port.kind is not other.port.kind:
             self._problems.append(f"{both}: the kinds differ")
@@ -61,6 +70,6 @@ class Model:
             f"{name}.{port.name} ({port.kind.__name__}) is not connected"
             for name, part in self.parts.items()
             for port in part.ports().values()
-            if not port.optional and (name, port.name) not in used
+            if not port.optional and (name, port.name) not in used | self._tried
         ]
-        return [*self._problems, *([] if self._problems else loose)]
+        return [*self._problems, *loose]

@@ -50,7 +50,7 @@ POWERTRAINS: dict[str, dict[str, tuple[str, ...]]] = {
         "wheel": ("wheel",),
         "final_drive": ("final-drive",),
         "gearbox": ("gearbox-polynomial", "gearbox-map"),
-        "shift": ("fixed-gear", "shift"),
+        "shift": ("shift",),
         "clutch": ("clutch",),
         "accessories": ("mechanical-accessories",),
         "engine": ("engine",),

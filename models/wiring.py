@@ -170,7 +170,8 @@ class Wiring:
 
     def start(self) -> dict[Key, Any]:
         """Return the start value of every state."""
-        values: dict[Key, Any] = {}
+        laws = [key for key, bound in self.maker.items() if key[0] == "law" and bound.face.name == "law"]
+        values = self.evaluate({}, laws)
         waiting = dict(self.parts)
         while waiting:
             ready = {name: part for name, part in waiting.items() if all(self.bus[a] in values for a in arguments(part.start)[0])}

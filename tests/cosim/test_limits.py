@@ -235,21 +235,10 @@ def test_with_the_key_off_nothing_is_used(name):
     assert balanced(result)
 
 
-def open_question(name, reason):
-    return pytest.param(name, marks=pytest.mark.xfail(reason=reason, strict=True))
-
-
 @pytest.mark.parametrize("cycle", ["us06", "nycc"])
 @pytest.mark.parametrize(
     "name",
-    [
-        ELECTRIC,
-        "paper-series-2393",
-        open_question(
-            CONVENTIONAL, "after a downshift the clutch slips though its output is faster than the engine; slip at a braked wheel"
-        ),
-        open_question("small-car-series-follower", "behind an open clutch nothing drives the generator's rotor"),
-    ],
+    [ELECTRIC, "paper-series-2393", CONVENTIONAL, "small-car-series-follower"],
 )
 def test_no_part_gives_more_than_it_gets_in_any_step(name, cycle):
     # Refined: in hybrid steps that miss the trace, powers belong to two speeds.

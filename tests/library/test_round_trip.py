@@ -327,6 +327,9 @@ def test_the_plant_sends_the_same_point_as_the_step_where_no_limit_acts(name):
     if "wheels" in name:
         # At standstill the plant's friction brakes fade, a declared difference.
         points = points[points[:, 0] + points[:, 1] * DT > 0]
+    if name.startswith("body-"):
+        # At standstill the step's body is held by its brakes, a declared difference.
+        points = points[points[:, 0] + points[:, 1] * DT / 2 > 0]
     sent, plant = case.at(case.sent, points), case.at(case.plant, points)
     scale = np.abs(sent).max(axis=1, keepdims=True)
     np.testing.assert_allclose(plant / scale.clip(1), sent / scale.clip(1), rtol=0, atol=1e-13)

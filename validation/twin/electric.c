@@ -125,7 +125,8 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double roll_0 = W * p->wheel_f_0, roll_1 = W * p->wheel_f_1, climb = W * grade;
   const double aero = 0.5 * p->body_rho * p->body_c_d * p->body_A;
   const double v_asked = 0.5 * (v + v_request), a_asked = (v_request - v) / dt;
-  const double F_asked = m * a_asked + (v_asked > 0 ? roll_0 + roll_1 * v_asked : 0) + climb + aero * v_asked * v_asked;
+  /* Standing, and asked to stand: held by the brakes. */
+  const double F_asked = v_asked > 0 ? m * a_asked + roll_0 + roll_1 * v_asked + climb + aero * v_asked * v_asked : 0;
 
   /* Grip of the driven axle, eq. 2 and 3; drag with v_end^2 ~ v v_end. */
   const double fd = p->wheel_front_driven, rd = p->wheel_rear_driven, front = p->body_front_share;
@@ -242,7 +243,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double moves = v_offered > 0 ? 1 : 0;
   const double B = 2 * m / dt + roll_1 * moves;
   const double C = -2 * m * v / dt - larger(F, -70 * m) + roll_0 * moves + climb;
-  const double v_force = -2 * C / (B + sqrt(B * B - 4 * aero * C));
+  const double v_force = -2 * C / (B + sqrt(larger(B * B - 4 * aero * C, 0)));
   const int braking = F < -m && v_request < v;
   double v_end = 2 * (braking ? larger(v_force, v_offered) : smaller(v_force, v_offered)) - v;
   if (v_end < 1e-9) v_end = 0;
@@ -286,8 +287,9 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->wheel_F_friction_required = F_limited - F_driveline_asked;
   o->wheel_F_driveline_required = F_driveline_asked;
   o->wheel_v_driveline = v_driveline;
-  o->wheel_P_brake = -(F_front + F_rear) * v_offered;
-  o->wheel_P_slip = F_driveline * (v_tread - v_offered);
+  /* A brake on the driven axle turns with its wheels, one on the other axle with the road. */
+  o->wheel_P_brake = (F_driveline - F_driven) * v_tread + (F_driven - F) * v_offered;
+  o->wheel_P_slip = F_driven * (v_tread - v_offered);
   o->wheel_P_bearing = tau_bearing * omega_final;
   o->wheel_P_kinetic = tau_wheels * (omega_w - 0.5 * alpha_w * dt);
   o->wheel_P_discretisation = tau_wheels * omega_final - o->wheel_P_kinetic;
