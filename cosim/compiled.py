@@ -10,9 +10,10 @@ from __future__ import annotations
 import ctypes
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -31,14 +32,31 @@ Mode: TypeAlias = Literal["hybrid", "refined", "iteration"]
 MODES: tuple[Mode, ...] = ("hybrid", "refined", "iteration")
 
 
-class March(NamedTuple):
-    """What a march over a cycle leaves: outputs of shape ``(n, n_outputs)`` or None, their integrals and maxima, the last state."""
+@dataclass(frozen=True)
+class March:
+    """What a march over a cycle leaves: outputs of shape ``(n, n_outputs)``, or only their totals; the last state."""
 
     history: Array | None
-    sums: Array
-    highest: Array
+    totals: tuple[Array, Array] | None
+    dt: Array
     state: Array
     evaluations: int
+
+    @cached_property
+    def sums(self) -> Array:
+        """Time integral of each output."""
+        if self.totals is not None:
+            return self.totals[0]
+        assert self.history is not None
+        return np.asarray(self.dt @ self.history)
+
+    @cached_property
+    def highest(self) -> Array:
+        """Maximum of each output; minus infinity if there was no step."""
+        if self.totals is not None:
+            return self.totals[1]
+        assert self.history is not None
+        return np.asarray(np.max(self.history, axis=0, initial=-np.inf))
 
 
 class Stepper(Protocol):
@@ -129,6 +147,9 @@ class CompiledStep:
         rows = np.empty((n, n_outputs)) if history else None
         sums, highest, evaluations = np.empty(n_outputs), np.empty(n_outputs), ctypes.c_long()
         distance, grade = samples.grade_by_distance or (None, None)
+        good = np.isfinite(samples.v + samples.grade + samples.key_on + samples.dt)
+        if not good.all():
+            raise _lost(self.step, samples, int(np.argmin(good)))
         done = self._library.hs_march(
             ctypes.c_long(n), *(_pointer(a) for a in (samples.dt, samples.v, samples.grade, samples.key_on)),
             ctypes.c_long(0 if distance is None else len(distance)), _pointer(distance), _pointer(grade),
@@ -136,7 +157,7 @@ class CompiledStep:
         )  # fmt: skip
         if done < n:
             raise _lost(self.step, samples, done)
-        return March(rows, sums, highest, x, evaluations.value)
+        return March(rows, None if history else (sums, highest), samples.dt, x, evaluations.value)
 
 
 class InterpretedStep:
@@ -174,5 +195,4 @@ class InterpretedStep:
                 x, rows[k] = self(x, np.array([v, grade, key_on, dt, 0.0]), parameters)
             except SolveError:
                 raise _lost(self.step, samples, k) from None
-        highest = rows.max(axis=0) if len(rows) else np.full(rows.shape[1], -np.inf)
-        return March(rows if history else None, rows.T @ samples.dt, highest, x, len(rows))
+        return March(rows, None, samples.dt, x, len(rows))

@@ -92,8 +92,8 @@ static double grade_at(double s, long n, const double *distance, const double *g
   return grade[low] + (grade[high] - grade[low]) * (s - distance[low]) / (distance[high] - distance[low]);
 }
 
-/* March `n` steps from the state `x`, which becomes the last state.  `history` holds n rows of outputs or is null; `sums`
-   gets the time integrals and `highest` the maxima of all outputs.  Returns the number of steps done; less than n if a
+/* March `n` steps from the state `x`, which becomes the last state.  `history` holds n rows of outputs; where it is null,
+   `sums` gets the time integrals and `highest` the maxima of all outputs.  Returns the number of steps done; less than n if a
    number was lost.  `evaluations` gets the number of calls of the step. */
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
                         const double *grade_distance, const double *grade_value, const double *p, double *x, double *history,
@@ -102,7 +102,7 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
   double *now = state[0], *next = state[1];
   trial t = {0, p, q, u, 0, 0, 0, 0, 0, 1};
   long k;
-  t.failed = hs_prepare(p, q);
+  t.failed = hs_prepare(p, q) | hs_lost(x, HS_NX);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
   for (int i = 0; i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {
@@ -127,10 +127,11 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
       next[HS_X_MISSED] = y[HS_Y_MISS] > p[HS_P_MISS];
     }
     if (t.failed) break;
-    for (int i = 0; i < HS_NY; ++i) {
-      sums[i] += y[i] * dt[k];
-      highest[i] = y[i] > highest[i] ? y[i] : highest[i];
-    }
+    if (!history)
+      for (int i = 0; i < HS_NY; ++i) {
+        sums[i] += y[i] * dt[k];
+        highest[i] = y[i] > highest[i] ? y[i] : highest[i];
+      }
     double *swap = now; now = next; next = swap;
   }
   for (int i = 0; i < HS_NX; ++i) x[i] = now[i];

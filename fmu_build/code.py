@@ -7,8 +7,9 @@ It defines ``HS_NX``, ``HS_NU``, ``HS_NP``, ``HS_NQ``, ``HS_NY`` and::
     static int  hs_step_prepared(const double *x, const double *u, const double *p, const double *q, double *xn, double *y);
     static int  hs_step(const double *x, const double *u, const double *p, double *xn, double *y);
 
-``q`` holds what depends on parameters only, computed once for many steps.  The last three return nonzero when an input
-or a result is not a number: minima and maxima would swallow it.
+``q`` holds what depends on parameters only, computed once for many steps.  ``hs_prepare`` returns nonzero when a
+parameter is not a number, ``hs_step_prepared`` when a result is not, ``hs_step`` when anything is not: minima and
+maxima would swallow it.
 
 The C is written from the expression graph, one line a node, in the order and with the operations of CasADi's virtual
 machine, so both give the same bits as long as the compiler does not contract (``-ffp-contract=off``).  Equal nodes are
@@ -30,6 +31,12 @@ _PRELUDE = """#include <math.h>
 static inline double hs_min(double a, double b) { return a < b ? a : b; }
 static inline double hs_max(double a, double b) { return a > b ? a : b; }
 static inline double hs_sign(double a) { return a < 0 ? -1 : a > 0 ? 1 : a; }
+static inline int hs_lost(const double *x, int n) {
+  double even = 0, odd = 0;
+  for (int i = 0; i + 1 < n; i += 2) { even += x[i] * 0; odd += x[i + 1] * 0; }
+  if (n % 2) even += x[n - 1] * 0;
+  return even + odd != 0;
+}
 """
 
 #: C of each operation; those in `_FLAGS` give 0 or 1.
@@ -119,7 +126,7 @@ class _Writer:
         return name
 
     def _call(self, function: str, parts: list[str]) -> str:
-        table, places = self.tables[function], []
+        table, places = self.tables[function].reduced, []
         for i in table.live:
             points, x = table.points[i], parts[i]
             axis = self.axes[points.tobytes()]
@@ -143,7 +150,8 @@ def compiled_tables(named: Mapping[str, Table]) -> dict[str, ca.Function]:
 
 def step_code(step: Step) -> str:
     """Return the C of a step."""
-    points = {t.points[i].tobytes(): t.points[i] for t in step.tables.values() for i in t.live}
+    tables = {name: t.reduced for name, t in step.tables.items()}
+    points = {t.points[i].tobytes(): t.points[i] for t in tables.values() for i in t.live}
     axes = {key: f"axis_{n}" for n, key in enumerate(points)}
     x, u, p = (ca.SX.sym(name, step.function.size1_in(i)) for i, name in enumerate("xup"))
     following, outputs = step.function.call([x, u, p])
@@ -158,24 +166,19 @@ def step_code(step: Step) -> str:
     parts = [
         _PRELUDE,
         *(axis_source(axes[key], x) for key, x in points.items()),
-        *(values_source(name, t) for name, t in step.tables.items()),
+        *(values_source(name, t) for name, t in tables.items()),
         f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters)}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
         "static void hs_start(const double *p, double *x) {", *starter.prepared, *_stores("x", first_names), "}\n",
         "static int hs_prepare(const double *p, double *q) {", *writer.prepared, *_stores("q", kept),
-        "  double check = 0;",
-        "  for (int i = 0; i < HS_NP; ++i) check += p[i] * 0;",
-        "  return check != check;\n}\n",
+        "  return hs_lost(p, HS_NP);\n}\n",
         "static int hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                            const double *restrict q, double *restrict xn, double *restrict y) {",
         *unpack, body, *_stores("xn", next_names), *_stores("y", output_names),
-        "  double check = 0;",
-        "  for (int i = 0; i < HS_NX; ++i) check += x[i] * 0 + xn[i] * 0;",
-        "  for (int i = 0; i < HS_NU; ++i) check += u[i] * 0;",
-        "  return check != check;\n}\n",
+        "  return hs_lost(xn, HS_NX);\n}\n",
         "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
         "  double q[HS_NQ];",
-        "  return hs_prepare(p, q) | hs_step_prepared(x, u, p, q, xn, y);\n}\n",
+        "  return hs_prepare(p, q) | hs_lost(x, HS_NX) | hs_lost(u, HS_NU) | hs_step_prepared(x, u, p, q, xn, y);\n}\n",
     ]  # fmt: skip
     return "\n".join(parts)
 

@@ -29,7 +29,7 @@ from halfshaft.library.errors import CompileError
 # No contraction: the same digits on every processor.  The compiler may take fmin, fmax and sqrt as instructions.
 FLAGS = (
     "-O3", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", "-fno-semantic-interposition",
-    "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off",
+    "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fno-if-conversion",
 )  # fmt: skip
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 

@@ -98,6 +98,16 @@ class Table:
         return (*(p.tobytes() for p in self.points), self.values.tobytes(), self.clip)
 
     @cached_property
+    def reduced(self) -> Table:
+        """The same table with each axis along which nothing changes cut to one point; gives the same bits."""
+        points, values = list(self.points), self.values
+        for i in range(len(points)):
+            first = values.take([0], axis=i)
+            if np.all(values == first):
+                points[i], values = points[i][:1], first
+        return Table(tuple(points), values, self.clip, self.name)
+
+    @cached_property
     def interpolant(self) -> ca.Function:
         """The table as a function on the virtual machine; needs no compiler."""
         x = ca.MX.sym("x", len(self.points))
