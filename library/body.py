@@ -110,14 +110,15 @@ class Body(Component):
         W, (f_0, f_1) = self.p.m * self.p.g, rolling
         return Resistance(W * cos * f_0, W * cos * f_1, W * cos * grade, 0.5 * self.p.rho * self.p.c_d * self.p.A)
 
-    @face("tyre", "v_request", "a_request", "F_required", "_resistance")
+    @face("tyre", "v_request", "a_request", "F_required", "_asked", "_resistance")
     def required(self, v_request: Expr, v: Expr, grade: Expr, dt: Expr, rolling: tuple[Expr, Expr], turning: Turning) -> Mapping[str, Any]:
         """Return the force and mean speed that reach the requested end speed, equation (1)."""
         v_mean, a = (v + v_request) / 2, (v_request - v) / dt
         resistance = self.resistance(grade, rolling)
         # A vehicle that stands and shall stand is held by its brakes, on a slope too.
         F = where(v_mean > 0, self.p.m * a + resistance.at(v_mean, turning(v_mean)), 0)
-        return {"tyre": Tyre(F, v_mean, a), "v_request": v_request, "a_request": a, "F_required": F, "_resistance": resistance}
+        asked = Tyre(F, v_mean, a)
+        return {"tyre": asked, "_asked": asked, "v_request": v_request, "a_request": a, "F_required": F, "_resistance": resistance}
 
     @face(
         "v_mean", "trace_miss", "next_v", "next_distance", "next_elevation", "next_trace_missed", "next_speed_ratio",
@@ -125,7 +126,7 @@ class Body(Component):
     )  # fmt: skip
     def available(
         self, tyre: Tyre, v_driveline: Expr, v: Expr, distance: Expr, elevation: Expr, v_request: Expr,
-        grade: Expr, dt: Expr, turning: Turning, _resistance: Resistance,
+        grade: Expr, dt: Expr, turning: Turning, _resistance: Resistance, _asked: Tyre,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Solve equation (1) for the mean speed and publish what was achieved."""
         m, drag = self.p.m, _resistance
@@ -139,6 +140,8 @@ class Body(Component):
         v_mean = where(braking, ca.fmax(v_force, tyre.v), ca.fmin(v_force, tyre.v))
         v_end = 2 * v_mean - v
         v_end = where(v_end >= 1e-9, v_end, 0)
+        # No limit acted: the request is reached, to the last bit.
+        v_end = where(ca.logic_and(tyre.F == _asked.F, tyre.v == _asked.v), v_request, v_end)
         v_mean = (v + v_end) / 2
         F_used = m * (v_end - v) / dt + drag.at(v_mean, moving)
         return {

@@ -15,7 +15,7 @@ import casadi as ca
 from halfshaft.library.component import Variable, face, plant
 from halfshaft.library.engine import Engine
 from halfshaft.library.expressions import clip, where
-from halfshaft.library.links import Link, TwoSided
+from halfshaft.library.links import Link, TwoSided, limit
 from halfshaft.library.parameters import Parameters
 from halfshaft.library.ports import Expr, Port, Shaft
 
@@ -60,8 +60,11 @@ class Clutch(TwoSided):
         def passed(tau: Expr) -> Expr:
             return where(clutch_open, 0, clip(tau, -engine.tau_largest, engine.tau_largest))
 
+        def cut(load: Shaft) -> Shaft:
+            return load._replace(tau=passed(load.tau))
+
         def law(load: Shaft) -> Shaft:
-            return Shaft(passed(load.tau), where(clutch_slipping, omega_launch, load.omega), load.alpha)
+            return load._replace(omega=where(clutch_slipping, omega_launch, load.omega))
 
         def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
             parted = ca.logic_or(clutch_open, clutch_slipping)
@@ -69,7 +72,7 @@ class Clutch(TwoSided):
             tau = where(clutch_slipping, ca.fmax(0, passed(offered.tau)), passed(offered.tau))
             return Shaft(tau, where(parted, asked.omega, offered.omega), asked.alpha)
 
-        return (Link(law, back),)
+        return (limit(cut), Link(law, back))
 
     @plant("input", "P_loss", "balance")
     def flow(

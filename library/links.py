@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 from halfshaft.library.component import Component, Face, Variable, arguments
+from halfshaft.library.expressions import where
 from halfshaft.library.ports import Expr, Port, Shaft
 
 
@@ -65,6 +66,18 @@ def ratio(i: Expr) -> Link:
         lambda asked, sent, offered: Shaft(offered.tau * i, offered.omega / i, offered.alpha / i),
         "",
     )
+
+
+def deliver(link: Link, asked: Any, sent: Any, offered: Any) -> Any:
+    """Return what a link delivers on the way back.
+
+    Where the whole of what was sent for is offered, the delivered torque, force or power is the one asked for, to the
+    last bit; so nothing is lost to rounding while no limit acts, and a processor need not wait for the way back.
+    """
+    delivered = link.back(asked, sent, offered)
+    if link.limit:
+        return delivered
+    return delivered._replace(**{delivered._fields[0]: where(offered[0] == sent[0], asked[0], delivered[0])})
 
 
 class TwoSided(Component):
@@ -126,7 +139,7 @@ class TwoSided(Component):
         def available(**x: Any) -> Mapping[str, Any]:
             offered, loss, kinetic, error = x[source.name], 0, 0, 0
             for link, asked, sent in reversed(x["_way"]):
-                delivered = link.back(asked, sent, offered)
+                delivered = deliver(link, asked, sent, offered)
                 taken = offered.P - delivered.P
                 if link.books == "loss":
                     loss += taken

@@ -106,9 +106,14 @@ class Motor(TwoSided):
             lowest, highest = self.limits(omega_map(s))
             return s._replace(tau=where(s.tau >= 0, ca.fmin(s.tau, highest), ca.fmax(s.tau, lowest)))
 
+        def on(s: Shaft) -> Expr:
+            return ca.fmax(turning(s.omega - OMEGA_OFF), 0) ** 2 * (1 - shifting)
+
+        def off(s: Shaft) -> Shaft:
+            return s._replace(tau=where(on(s), s.tau, 0))
+
         def power(s: Shaft) -> Electric:
-            on = ca.fmax(turning(s.omega - OMEGA_OFF), 0) ** 2 * (1 - shifting)
-            return Electric(on * self.power(s.tau, omega_map(s)))
+            return Electric(on(s) * self.power(s.tau, omega_map(s)))
 
         def same_efficiency(asked: Shaft, sent: Electric, offered: Electric) -> Shaft:
             ratio = where(sent.P != 0, offered.P / where(sent.P != 0, sent.P, 1), 0)
@@ -122,6 +127,7 @@ class Motor(TwoSided):
             limit(speed),
             inertia(self.p.J),
             limit(torque, "limited"),
+            limit(off),
             Link(power, same_efficiency, "loss", False, "map"),
             limit(current),
         )

@@ -25,7 +25,7 @@ import casadi as ca
 from halfshaft.library.body import BodyParameters
 from halfshaft.library.component import Component, State, Variable, face, plant
 from halfshaft.library.expressions import Turning, clip, where
-from halfshaft.library.links import Link, drag, inertia
+from halfshaft.library.links import Link, deliver, drag, inertia
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr, Port, Shaft, Tyre
 from halfshaft.library.tables import Axis, Table
@@ -163,7 +163,7 @@ class Wheel(Component):
 
     @face(
         "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
-        "next_omega_before", "_asked", "_grip", "_way",
+        "next_omega_before", "_asked", "_grip", "_split", "_way",
     )  # fmt: skip
     def required(
         self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters, omega_before: Expr, turning: Turning
@@ -189,6 +189,7 @@ class Wheel(Component):
             "next_omega_before": omega,
             "_asked": tyre,
             "_grip": grip,
+            "_split": split,
             "_way": tuple(zip(links, way, way[1:], strict=False)),
         }
 
@@ -196,19 +197,22 @@ class Wheel(Component):
         "tyre", "v_driveline", "F_brake_front", "F_brake_rear",
         "P_brake", "P_slip", "P_bearing", "P_kinetic", "P_discretisation",
     )  # fmt: skip
-    def available(self, axle: Shaft, dt: Expr, _asked: Tyre, _grip: Grip, _way: Any) -> Mapping[str, Any]:
+    def available(self, axle: Shaft, dt: Expr, _asked: Tyre, _grip: Grip, _split: Split, _way: Any) -> Mapping[str, Any]:
         """Return the force and speed at the road that the offered axle point gives."""
         p = self.p
         tread = axle
         for link, asked, sent in reversed(_way):
-            tread = link.back(asked, sent, tread)
+            tread = deliver(link, asked, sent, tread)
         (_, at_tread, after_bearing), (_, _, at_axle) = _way
-        F_driveline = tread.tau / p.r
-        F_front, F_rear = self.friction(ca.fmin(0, _asked.F - F_driveline) * (_asked.F < 0), p.r * axle.omega)
+        F_driveline = where(tread.tau == at_tread.tau, _split.driveline, tread.tau / p.r)
+        F_friction = where(_asked.F < 0, ca.fmin(0, _asked.F - F_driveline), 0)
+        F_front, F_rear = self.friction(F_friction, p.r * axle.omega)
         F_driven = F_driveline + where(p.front_driven, F_front, 0) + where(p.rear_driven, F_rear, 0)
         v_driveline = p.r * axle.omega / (1 + self.slip(F_driven, _grip.W_driven))
         v_tyre = where(ca.fabs(at_axle.omega - axle.omega) > 1e-3, v_driveline, _grip.v)
-        F = F_driveline + F_front + F_rear
+        # Brakes within their limits bring just what is asked for.
+        full = ca.logic_and(F_front > -p.F_brake_front_max, F_rear > -p.F_brake_rear_max)
+        F = where(full, where(_asked.F < 0, ca.fmin(_asked.F, F_driveline), F_driveline), F_driveline + F_front + F_rear)
         J_alpha = at_axle.tau - after_bearing.tau
         kinetic = J_alpha * (at_axle.omega - at_axle.alpha * dt / 2)
         return {

@@ -133,7 +133,9 @@ def test_coasting_follows_the_closed_solution_to_second_order():
         v = v_start
         for _ in range(round(duration / dt)):
             # Nothing at the tyres, and no driveline that bounds the speed.
-            v = float(body.available(Tyre(0.0, 1e3, 0.0), 1e3, v, 0.0, 0.0, v, 0.0, dt, step_turning, resistance)["next_v"])
+            v = float(
+                body.available(Tyre(0.0, 1e3, 0.0), 1e3, v, 0.0, 0.0, v, 0.0, dt, step_turning, resistance, Tyre(1.0, 0.0, 0.0))["next_v"]
+            )
         return v
 
     a, b = roll / m, aero / m
@@ -151,7 +153,9 @@ def test_a_coasting_body_comes_to_rest_and_stays():
     resistance = body.resistance(0.0, (0.01, 0.0))
     v = 1.0
     for _ in range(30):
-        v = float(body.available(Tyre(0.0, 1e3, 0.0), 1e3, v, 0.0, 0.0, v, 0.0, 1.0, step_turning, resistance)["next_v"])
+        v = float(
+            body.available(Tyre(0.0, 1e3, 0.0), 1e3, v, 0.0, 0.0, v, 0.0, 1.0, step_turning, resistance, Tyre(1.0, 0.0, 0.0))["next_v"]
+        )
     assert v == 0
 
 

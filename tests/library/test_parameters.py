@@ -120,7 +120,11 @@ def test_every_port_state_and_variable_of_every_kind_is_named_once_and_described
 
 
 def test_a_wheel_needs_a_driven_axle():
-    small = {"slip": Table.of([0, 1], values=[0, 0.1]), "tau_bearing": FORCE, "share_driveline": Table.of([0], values=[0.5])}
+    small = {
+        "slip": Table.of([0, 1], values=[0, 0.1]),
+        "tau_bearing": Table.of([0, 1], values=[0, 1], clip=False),
+        "share_driveline": Table.of([0], values=[0.5]),
+    }
     found = problems(WheelParameters, r=0.3, J=1, f_0=0.01, mu_max=1, front_driven=0, share_front=Table.of([0], values=[0.5]), **small)
     assert found == ["front_driven and rear_driven are both 0, at least one axle must be driven"]
 
