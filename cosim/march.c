@@ -97,7 +97,7 @@ static double grade_at(double s, long n, const double *distance, const double *g
    number was lost.  `evaluations` gets the number of calls of the step. */
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
                         const double *grade_distance, const double *grade_value, const double *p, double *x, double *history,
-                        double *sums, double *highest, int mode, long *evaluations) {
+                        double *restrict sums, double *restrict highest, int mode, long *evaluations) {
   double state[2][HS_NX], decided[HS_NX], row[HS_NY], u[HS_NU], q[HS_NQ];
   double *now = state[0], *next = state[1];
   trial t = {0, p, q, u, 0, 0, 0, 0, 0, 1};

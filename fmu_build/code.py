@@ -33,9 +33,9 @@ static inline double hs_max(double a, double b) { return a > b ? a : b; }
 static inline double hs_sign(double a) { return a < 0 ? -1 : a > 0 ? 1 : a; }
 static inline int hs_lost(const double *x, int n) {
   double even = 0, odd = 0;
-  for (int i = 0; i + 1 < n; i += 2) { even += x[i] * 0; odd += x[i + 1] * 0; }
-  if (n % 2) even += x[n - 1] * 0;
-  return even + odd != 0;
+  for (int i = 0; i + 1 < n; i += 2) { even += x[i]; odd += x[i + 1]; }
+  if (n % 2) even += x[n - 1];
+  return (even + odd) * 0 != 0;
 }
 """
 
@@ -174,7 +174,7 @@ def step_code(step: Step) -> str:
         "  return hs_lost(p, HS_NP);\n}\n",
         "static int hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                            const double *restrict q, double *restrict xn, double *restrict y) {",
-        *unpack, body, *_stores("xn", next_names), *_stores("y", output_names),
+        *_stored_at_once([*unpack, *writer.lines], [*_stores("xn", next_names), *_stores("y", output_names)]),
         "  return hs_lost(xn, HS_NX);\n}\n",
         "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
         "  double q[HS_NQ];",
@@ -185,6 +185,17 @@ def step_code(step: Step) -> str:
 
 def _stores(vector: str, names: Sequence[str]) -> list[str]:
     return [f"  {vector}[{i}] = {name};" for i, name in enumerate(names)]
+
+
+def _stored_at_once(lines: Sequence[str], stores: Sequence[str]) -> list[str]:
+    """Return the lines with each store right behind what it stores, so that few values wait in registers."""
+    waiting: dict[str, list[str]] = {}
+    for store in stores:
+        waiting.setdefault(store.rpartition(" = ")[2].rstrip(";"), []).append(store)
+    ordered = []
+    for line in lines:
+        ordered += [line, *waiting.pop(line.partition(" = ")[0].rpartition(" ")[2], [])]
+    return [*ordered, *(store for rest in waiting.values() for store in rest)]
 
 
 def _uses(body: str, name: str) -> bool:

@@ -29,8 +29,10 @@ from halfshaft.library.errors import CompileError
 # No contraction: the same digits on every processor.  The compiler may take fmin, fmax and sqrt as instructions.
 FLAGS = (
     "-O3", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", "-fno-semantic-interposition",
-    "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fno-if-conversion",
+    "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off",
 )  # fmt: skip
+#: A step is a long chain of choices that seldom change: a branch that is foreseen costs less than waiting for both sides.
+GCC_FLAGS = ("-fno-if-conversion",)
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
@@ -43,6 +45,11 @@ class Compiler(NamedTuple):
 
     command: tuple[str, ...]
     identity: str
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Flags for this compiler."""
+        return (*FLAGS, *GCC_FLAGS) if "Free Software Foundation" in self.identity else FLAGS
 
 
 def find_compiler() -> Compiler:
@@ -98,7 +105,7 @@ def shared_library(source: str, name: str, headers: Mapping[str, str] | None = N
     """
     compiler = find_compiler()
     files = {f"{name}.c": source, **(headers or {})}
-    content = "\0".join([compiler.identity, *FLAGS, *(text for item in sorted(files.items()) for text in item)])
+    content = "\0".join([compiler.identity, *compiler.flags, *(text for item in sorted(files.items()) for text in item)])
     file_name = f"{name}-{hashlib.sha256(content.encode()).hexdigest()[:32]}{SUFFIX}"
     folder = Path(os.environ.get("HALFSHAFT_CACHE") or platformdirs.user_cache_dir("halfshaft"))
     try:
@@ -122,7 +129,7 @@ def _compile(compiler: Compiler, files: Mapping[str, str], name: str, target: Pa
     with tempfile.TemporaryDirectory(prefix=".build-", dir=target.parent) as build:
         for file_name, text in files.items():
             Path(build, file_name).write_text(text, encoding="utf-8", newline="\n")
-        command = [*compiler.command, *FLAGS, "-o", target.name, f"{name}.c", "-lm"]
+        command = [*compiler.command, *compiler.flags, "-o", target.name, f"{name}.c", "-lm"]
         # File names without folders: nothing of this machine gets into the library.
         done = subprocess.run(command, cwd=build, capture_output=True, text=True, errors="replace", check=False)
         if done.returncode:

@@ -107,7 +107,7 @@ class Component:
     variables: ClassVar[tuple[Variable, ...]] = ()
     #: States of the forward-facing model; each stands for the step's state or memory named last.
     plant_states: ClassVar[tuple[tuple[State, str], ...]] = ()
-    #: What the component publishes to all others besides numbers: functions of its own parameters.
+    #: What the component publishes to all others besides variables: laws, parameters, points that are outputs by another name.
     laws: ClassVar[tuple[str, ...]] = ()
 
     @classmethod

@@ -29,7 +29,7 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import State, Variable, face
+from halfshaft.library.component import State, face
 from halfshaft.library.expressions import Direction, Turning, clip, where
 from halfshaft.library.links import Link, TwoSided, inertia, limit
 from halfshaft.library.parameters import Parameters, param, params, table
@@ -90,12 +90,7 @@ class _Gearbox(TwoSided):
     output = Port(Shaft, "wheel")
     input = Port(Shaft, "source")
     states = (State("torque_ratio", "1", "output over input torque of the previous step, both at the input's speed", signal=True),)
-    variables = (
-        Variable("tau_gearbox", "N.m", "required output torque", signal=True),
-        Variable("omega_gearbox", "rad/s", "required output speed", signal=True),
-        Variable("omega_gearbox_input", "rad/s", "offered input speed", signal=True),
-    )
-    laws = ("ratios",)
+    laws = ("ratios", "tau_gearbox", "omega_gearbox", "omega_gearbox_input")
 
     @face("ratios")
     def law(self) -> Mapping[str, Any]:

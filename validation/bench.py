@@ -30,6 +30,9 @@ from halfshaft.validation.reproduce import speed_tasks
 #: Our vehicles and those of FASTSim that come nearest.
 PEERS = {"small-car-electric": "2022_Renault_Zoe_ZE50_R135.yaml", "small-car-conventional": "2012_Ford_Fusion.yaml"}
 
+#: How many times as fast as FASTSim a simulation with history shall be.
+WANTED = {"small-car-electric": 6, "small-car-conventional": 4}
+
 Row = dict[str, Any]
 
 
@@ -125,7 +128,7 @@ def _forward() -> list[Row]:
             rows.append(_row(f"{name}: forward-facing", None, "s", note=f"did not finish: {error}"))
             continue
         rows.append(_row(f"{name}: forward-facing", forward, "s", note=f"{note}; one run, IDAS, controls each 0.1 s"))
-        rows.append(_row(f"{name}: hybrid faster by", forward / hybrid, "times", f"> {printed[name]} (paper)"))
+        rows.append(_row(f"{name}: hybrid faster by", forward / hybrid, "times", f">= 50; {printed[name]} in the paper"))
     return rows
 
 
@@ -152,7 +155,8 @@ def _fastsim() -> list[Row]:
             note = f"{note}; {len(compiled.step.outputs)} outputs; wall {1e6 * ours.wall:.0f} us"
             rows.append(_row(f"{name}: {what}", 1e6 * ours.cpu, "us", f"< {1e6 * other.cpu:.0f} us (FASTSim)" if other else "", note))
             if other:
-                rows.append(_row(f"{name}: {what}, faster than FASTSim by", other.cpu / ours.cpu, "times", "> 1"))
+                target = f">= {WANTED[name]}" if what == "simulation, history" else "> 1"
+                rows.append(_row(f"{name}: {what}, faster than FASTSim by", other.cpu / ours.cpu, "times", target))
         shown = peer.removesuffix(".yaml")
         rows += [
             _row(f"FASTSim {shown}: {what}", 1e6 * t.cpu, "us", note=f"a fresh SimDrive in each run; wall {1e6 * t.wall:.0f} us")
@@ -198,10 +202,12 @@ def _twin() -> list[Row]:
     except CompileError as error:
         return [_row("electric step", None, "ns", note=f"no compiler: {error}")]
     n = len(samples.t)
-    by_hand, generated = measured(lambda: twin.march(samples)).cpu, measured(lambda: compiled.march(samples, parameters)).cpu
-    note = "UDDS with history, integrals and maxima"
+    by_hand, generated = measured(lambda: twin.march(samples, totals=False)).cpu, measured(lambda: compiled.march(samples, parameters)).cpu
+    note = "UDDS with history"
     return [
-        _row("electric step: generated", 1e9 * generated / n, "ns", "< 350 ns", f"{len(compiled.step.outputs)} outputs; {note}"),
+        _row(
+            "electric step: generated", 1e9 * generated / n, "ns", "<= 1.5 times by hand", f"{len(compiled.step.outputs)} outputs; {note}"
+        ),
         _row("electric step: by hand", 1e9 * by_hand / n, "ns", note=f"{len(twin.outputs)} outputs; {note}"),
         _row("electric step: generated over by hand", generated / by_hand, "times", note="equal results, see the tests"),
     ]
@@ -262,7 +268,7 @@ def _timed_python(code: str) -> float:
 def _threads(n_cores: int) -> list[Row]:
     """Return how the throughput of many vehicles grows with a second thread."""
     if n_cores < 2:
-        return [_row("throughput of two threads over one", None, "times", "> 1.8", "there is only one core")]
+        return [_row("throughput of two threads over one", None, "times", ">= 1.7", "there is only one core")]
     samples = Cycle.load("udds").sampled(1.0)
     base = Vehicle.load("small-car-electric")
     compiled = stepper_of(base)
@@ -281,4 +287,4 @@ def _threads(n_cores: int) -> list[Row]:
     # Other programs can only take away from two threads: the best of several counts.
     one, two = (max(throughput(threads) for _ in range(9)) for threads in (1, 2))
     note = f"electric car over UDDS, no history: {one[0]:.0f} and {two[0]:.0f} runs a second; the system gave {two[1]:.2f} cores"
-    return [_row("throughput of two threads over one", two[0] / one[0], "times", "> 1.8", note)]
+    return [_row("throughput of two threads over one", two[0] / one[0], "times", ">= 1.7", note)]

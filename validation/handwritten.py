@@ -67,15 +67,20 @@ class Twin:
         # The C file addresses these arrays as long as the twin lives.
         return _Map(len(axes[0]), len(axes[1]) if len(axes) > 1 else 0, x, y, value, 0, 0), kept
 
-    def march(self, samples: Samples) -> TwinMarch:
-        """Drive over a cycle without a grade over distance."""
+    def march(self, samples: Samples, *, totals: bool = True) -> TwinMarch:
+        """Drive over a cycle without a grade over distance; without `totals`, integrals and maxima are left out."""
         n, n_outputs = len(samples.t), len(self.outputs)
         values = {**self._values, "body.v_start": samples.v_start}
         parameters = np.array([values[name] for name in self._numbers])
         maps = (_Map * len(self._maps))(*(m for m, _ in self._maps))
         done = TwinMarch(np.empty((n, n_outputs)), np.empty(n_outputs), np.empty(n_outputs))
+        filled = done if totals else (done.history,)
         inputs = (samples.dt, samples.v, samples.grade, samples.key_on, parameters)
         self._library.twin_march(
-            ctypes.c_long(n), *(ctypes.c_void_p(a.ctypes.data) for a in inputs), maps, *(ctypes.c_void_p(a.ctypes.data) for a in done)
+            ctypes.c_long(n),
+            *(ctypes.c_void_p(a.ctypes.data) for a in inputs),
+            maps,
+            *(ctypes.c_void_p(a.ctypes.data) for a in filled),
+            *(ctypes.c_void_p(None) for _ in done[len(filled) :]),
         )
         return done

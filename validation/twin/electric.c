@@ -50,7 +50,7 @@
   X(final_drive, P_loss) X(final_drive, P_kinetic) X(final_drive, P_discretisation) X(final_drive, tau) \
   X(final_drive, tau_required) X(final_drive, omega) X(final_drive, omega_required) X(final_drive, P_out) \
   X(final_drive, P_in) \
-  X(gearbox, tau_gearbox) X(gearbox, omega_gearbox) X(gearbox, omega_gearbox_input) X(gearbox, P_loss) \
+  X(gearbox, P_loss) \
   X(gearbox, P_kinetic) X(gearbox, P_discretisation) X(gearbox, tau) X(gearbox, tau_required) X(gearbox, omega) \
   X(gearbox, omega_required) X(gearbox, P_out) X(gearbox, P_in) \
   X(motor, tau_limited) X(motor, throttle_motor) X(motor, P_map) X(motor, P_loss) X(motor, P_kinetic) \
@@ -307,9 +307,8 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->final_drive_omega_required = omega_w;
   o->final_drive_P_in = o->gearbox_P_out = tau_gearbox * omega_gearbox;
 
-  o->gearbox_tau_gearbox = o->gearbox_tau_required = tau_f;
-  o->gearbox_omega_gearbox = o->gearbox_omega_required = omega_f;
-  o->gearbox_omega_gearbox_input = omega_m;
+  o->gearbox_tau_required = tau_f;
+  o->gearbox_omega_required = omega_f;
   o->gearbox_P_kinetic = tau_g_rotor * (omega_g - 0.5 * alpha_g * dt);
   o->gearbox_P_discretisation = tau_g_rotor * omega_m - o->gearbox_P_kinetic;
   o->gearbox_P_loss = tau_offered * omega_m - tau_gearbox * omega_gearbox;
@@ -347,7 +346,8 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->battery_battery_limited = battery_limited;
 }
 
-/* Drive n steps.  `history` holds n rows of outputs; `sums` and `highest` get their time integrals and maxima. */
+/* Drive n steps.  `history` holds n rows of outputs; `sums` and `highest`, unless null, get their time integrals and
+   maxima. */
 EXPORT void twin_march(long n, const double *dt, const double *v, const double *grade, const double *key_on,
                        const parameters *p, maps *t, outputs *history, double *sums, double *highest) {
   states x[2] = {{0}};
@@ -356,11 +356,11 @@ EXPORT void twin_march(long n, const double *dt, const double *v, const double *
   x[0].battery_soc = p->battery_soc_start;
   x[0].battery_T = p->battery_T_start;
   x[0].battery_U_supply = p->battery_n_modules * clipped_2d(&t->battery_u_oc, p->battery_T_start, p->battery_soc_start);
-  for (int j = 0; j < N_OUTPUTS; ++j) { sums[j] = 0; highest[j] = -HUGE_VAL; }
+  for (int j = 0; sums && j < N_OUTPUTS; ++j) { sums[j] = 0; highest[j] = -HUGE_VAL; }
   for (long k = 0; k < n; ++k) {
     step(p, t, &x[k % 2], v[k], grade[k], key_on[k], dt[k], &x[(k + 1) % 2], &history[k]);
     const double *y = (const double *)&history[k];
-    for (int j = 0; j < N_OUTPUTS; ++j) {
+    for (int j = 0; sums && j < N_OUTPUTS; ++j) {
       sums[j] += y[j] * dt[k];
       highest[j] = larger(y[j], highest[j]);
     }
