@@ -225,21 +225,35 @@ def values_source(name: str, table: Table) -> str:
 
 
 def external_source(name: str, table: Table) -> str:
-    """Return C that exports ``name`` and its derivative ``jac_name`` in CasADi's calling convention."""
-    lines = [axis_source(f"{name}_{i}", table.points[i]) for i in table.live]
+    """Return C that exports ``name`` and its derivatives ``jac_name`` and ``jac_jac_name`` in CasADi's convention.
+
+    A multilinear piece bends only between its axes: the mixed second derivative is the difference of a slope between
+    the two ends of another axis.
+    """
+    live, n = table.live, len(table.points)
+    lines = [axis_source(f"{name}_{i}", table.points[i]) for i in live]
     lines.append(values_source(name, table))
-    lines.append(f"static double {name}_value(const double *x, double *d) {{")
-    lines.append(f"  for (int i = 0; d && i < {len(table.points)}; ++i) d[i] = 0;")
-    for i in table.live:
-        lines.append(f"  double x{i} = {clip_source(f'x[{i}]', table.points[i]) if table.clip else f'x[{i}]'};")
-        lines.append(f"  int i{i} = {name}_{i}_find(x{i});")
-        lines.append(f"  double t{i} = (x{i} - {name}_{i}_x[i{i}]) * {name}_{i}_s[i{i}];")
-    lines.append(f"  double y = {name}_at({''.join(f'i{i}, t{i}, ' for i in table.live)}d);")
-    for i in table.live:
-        inside = f"x{i} != x[{i}] ? 0 : " if table.clip else ""
-        lines.append(f"  if (d) d[{i}] = {inside}d[{i}] * {name}_{i}_s[i{i}];")
+    places = []
+    for i in live:
+        places.append(f"  double x{i} = {clip_source(f'x[{i}]', table.points[i]) if table.clip else f'x[{i}]'};")
+        places.append(f"  int i{i} = {name}_{i}_find(x{i});")
+        places.append(f"  double t{i} = (x{i} - {name}_{i}_x[i{i}]) * {name}_{i}_s[i{i}];")
+        # The fraction's derivative by the argument; none where the argument was clipped.
+        places.append(f"  double g{i} = {f'x{i} != x[{i}] ? 0 : ' if table.clip else ''}{name}_{i}_s[i{i}];")
+    arguments = "".join(f"i{i}, t{i}, " for i in live)
+    lines.append(f"static double {name}_value(const double *x, double *d) {{\n  for (int i = 0; d && i < {n}; ++i) d[i] = 0;")
+    lines += [*places, f"  double y = {name}_at({arguments}d);"]
+    lines += [f"  if (d) d[{i}] *= g{i};" for i in live]
     lines.append("  return y;\n}")
-    return "\n".join([*lines, _EXTERNAL.format(name=name, n=len(table.points))])
+    lines.append(f"static void {name}_curvature(const double *x, double *h) {{\n  double a[{n}], b[{n}];")
+    lines += [*places, f"  for (int i = 0; i < {n * n}; ++i) h[i] = 0;"]
+    for j in live:
+        for end, t in (("a", "0."), ("b", "1.")):
+            ends = "".join(f"i{i}, {t if i == j else 't' + str(i)}, " for i in live)
+            lines.append(f"  {name}_at({ends}{end});")
+        lines += [f"  h[{i + j * n}] = (b[{i}] - a[{i}]) * g{i} * g{j};" for i in live if i != j]
+    lines.append("}")
+    return "\n".join([*lines, _EXTERNAL.format(name=name, n=n)])
 
 
 _EXTERNAL = """
@@ -251,13 +265,22 @@ TABLE_EXPORT int jac_{name}(const double **arg, double **res, casadi_int *iw, do
   if (res[0]) {name}_value(arg[0], res[0]);
   return 0;
 }}
+TABLE_EXPORT int jac_jac_{name}(const double **arg, double **res, casadi_int *iw, double *w, int mem) {{
+  if (res[0]) {name}_curvature(arg[0], res[0]);
+  return 0;
+}}
+static const casadi_int {name}_in[] = {{{n}, 1, 1}}, {name}_out[] = {{1, 1, 1}}, {name}_jac[] = {{1, {n}, 1}};
+static const casadi_int {name}_hess[] = {{{n}, {n}, 1}}, {name}_none[] = {{{n}, 1, 0, 0}};
 TABLE_EXPORT casadi_int {name}_n_in(void) {{ return 1; }}
 TABLE_EXPORT casadi_int {name}_n_out(void) {{ return 1; }}
-static const casadi_int {name}_in[] = {{{n}, 1, 1}}, {name}_out[] = {{1, 1, 1}}, {name}_jac[] = {{1, {n}, 1}};
 TABLE_EXPORT const casadi_int *{name}_sparsity_in(casadi_int i) {{ return {name}_in; }}
 TABLE_EXPORT const casadi_int *{name}_sparsity_out(casadi_int i) {{ return {name}_out; }}
 TABLE_EXPORT casadi_int jac_{name}_n_in(void) {{ return 2; }}
 TABLE_EXPORT casadi_int jac_{name}_n_out(void) {{ return 1; }}
 TABLE_EXPORT const casadi_int *jac_{name}_sparsity_in(casadi_int i) {{ return i ? {name}_out : {name}_in; }}
 TABLE_EXPORT const casadi_int *jac_{name}_sparsity_out(casadi_int i) {{ return {name}_jac; }}
+TABLE_EXPORT casadi_int jac_jac_{name}_n_in(void) {{ return 3; }}
+TABLE_EXPORT casadi_int jac_jac_{name}_n_out(void) {{ return 2; }}
+TABLE_EXPORT const casadi_int *jac_jac_{name}_sparsity_in(casadi_int i) {{ return i ? i > 1 ? {name}_jac : {name}_out : {name}_in; }}
+TABLE_EXPORT const casadi_int *jac_jac_{name}_sparsity_out(casadi_int i) {{ return i ? {name}_none : {name}_hess; }}
 """

@@ -195,3 +195,20 @@ def test_c_gives_bit_for_bit_what_it_gave_when_inlined_elsewhere():
     first, second = compiled_tables({"plane": t})["plane"], compiled_tables({"plane": t, "other": TABLES["line_clip"]})["plane"]
     x = places(t, seed=5)
     assert np.array_equal(first(x).full(), second(x).full())
+
+
+def test_compiled_tables_have_exact_second_derivatives():
+    rng = np.random.default_rng(7)
+    surface = Table.of([0, 1, 3], [0, 2, 5, 6], values=rng.random((3, 4)), clip=False)
+    line = Table.of([0, 1, 3], values=[1, 2, 0])
+    functions = compiled_tables({"curved_surface": surface, "curved_line": line})
+    x = ca.SX.sym("x", 2)
+    y = functions["curved_surface"](x) * functions["curved_line"](x[0])
+    hessian, value = ca.Function("h", [x], [ca.hessian(y, x)[0]]), ca.Function("y", [x], [y])
+    at, h = np.array([0.4, 3.0]), 1e-3
+    steps = h * np.eye(2)
+    by_differences = [
+        [float(value(at + a + b) - value(at + a - b) - value(at - a + b) + value(at - a - b)) / (4 * h * h) for b in steps] for a in steps
+    ]
+    # Inside one piece y is a polynomial of low degree: only the rounding of the differences is left.
+    np.testing.assert_allclose(hessian(at).full(), by_differences, atol=1e-8)
