@@ -10,8 +10,7 @@ from halfshaft.models.model import Model
 
 def conventional(parts: Mapping[str, Any]) -> Model:
     """Return the model; parts are listed from the wheel to the source."""
-    m = Model("conventional", parts)
-    p = parts
+    m, p = Model("conventional", parts), parts
     m.connect(p["body"].tyre, p["wheel"].tyre)
     m.connect(p["wheel"].axle, p["final_drive"].output)
     m.connect(p["final_drive"].input, p["gearbox"].output)

@@ -8,10 +8,9 @@ from typing import Any
 from halfshaft.models.model import Model
 
 
-def electric(parts: Mapping[str, Any]) -> Model:
+def electric(parts: Mapping[str, Any], name: str = "electric") -> Model:
     """Return the model; parts are listed from the wheel to the source."""
-    m = Model("electric", parts)
-    p = parts
+    m, p = Model(name, parts), parts
     m.connect(p["body"].tyre, p["wheel"].tyre)
     m.connect(p["wheel"].axle, p["final_drive"].output)
     m.connect(p["final_drive"].input, p["gearbox"].output)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any
 
 from halfshaft.library.component import Component
@@ -25,6 +26,7 @@ def model_of(vehicle: Vehicle) -> Model:
     return BUILDERS[vehicle.powertrain](vehicle.components())
 
 
+@lru_cache(maxsize=256)
 def structure_of(vehicle: Vehicle) -> tuple[Any, ...]:
     """Return what is built into the code of a vehicle: its parts and tables, not its numbers."""
     return (
