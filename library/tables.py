@@ -200,6 +200,15 @@ def values_source(name: str, table: Table) -> str:
     body = [f"static const double {name}_y[] = {_numbers(table.values)};"]
     body.append(f"static inline double {name}_at({arguments + ', ' if live else ''}double *d) {{")
     body.append(f"  const double *y = {name}_y + {offset};")
+    if len(live) == 3:
+        # The third axis counts gears: at a whole gear one plane is enough.
+        i, j, k = live
+        body.append(f"""  if (!d && (t{k} == 0 || t{k} == 1)) {{
+    const double *z = t{k} == 0 ? y : y + {strides[k]};
+    double a = z[0] + t{i} * (z[{strides[i]}] - z[0]);
+    double b = z[{strides[j]}] + t{i} * (z[{strides[i] + strides[j]}] - z[{strides[j]}]);
+    return a + t{j} * (b - a);
+  }}""")
     level: dict[tuple[int, ...], str] = {}
     for corner in product((0, 1), repeat=len(live)):
         level[corner] = f"v{''.join(map(str, corner))}"
