@@ -104,13 +104,15 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
   long k;
   t.failed = hs_prepare(p, q) | hs_lost(x, HS_NX);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
-  for (int i = 0; i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
+  for (int i = 0; !history && i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {
     double *y = history ? history + k * HS_NY : row;
     u[1] = n_grade ? grade_at(now[HS_X_DISTANCE], n_grade, grade_distance, grade_value) : grade[k];
     u[2] = key_on[k];
     u[3] = dt[k];
     u[4] = 0;
+    u[0] = v[k];
+    t.failed |= hs_lost(u, HS_NU);
     t.x = now; t.xn = next; t.y = y;
     double s = shortfall(&t, v[k]);
     if (mode != HYBRID && s > HS_REACHED) {
