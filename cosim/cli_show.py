@@ -1,0 +1,186 @@
+"""What ``halfshaft list`` and ``halfshaft show`` print: the vehicles, components and cycles of the library or of files."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Literal
+
+from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Table
+
+from halfshaft.cosim.cli_output import console, new_table
+from halfshaft.cosim.cycle import Cycle, cycle_names
+from halfshaft.library.catalog import KINDS
+from halfshaft.library.errors import InputError, nearest
+from halfshaft.library.files import ComponentFile, component_names, read_component
+from halfshaft.library.parameters import numbers, spec_of, tables
+from halfshaft.library.tables import Table as Map
+from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
+
+#: What the library has.
+Shelf = Literal["vehicles", "components", "cycles"]
+
+Rows = tuple[list[str], list[list[str]]]
+
+
+def print_list(what: Shelf) -> None:
+    """Print what the library has."""
+    headings, rows = {"vehicles": _vehicle_rows, "components": _component_rows, "cycles": _cycle_rows}[what]()
+    table = new_table()
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if "[" in heading else "left", no_wrap=i == 0, overflow="fold")
+    for row in rows:
+        table.add_row(*(escape(text) for text in row))
+    console().print(table)
+
+
+def _vehicle_rows() -> Rows:
+    vehicles = [Vehicle.load(name) for name in vehicle_names()]
+    return ["vehicle", "powertrain", "mass \\[kg]", "title"], [[v.name, v.powertrain, f"{v.values['body.m']:g}", v.title] for v in vehicles]
+
+
+def _component_rows() -> Rows:
+    components = [_component(name) for name in component_names()]
+    return ["component", "kind", "title"], [[c.name, c.kind, c.title] for c in sorted(components, key=lambda c: c.kind)]
+
+
+def _cycle_rows() -> Rows:
+    cycles = [Cycle.load(name) for name in cycle_names()]
+    rows = []
+    for c in cycles:
+        s = c.statistics()
+        rows.append([c.name, f"{s.duration:g}", f"{s.distance / 1000:.2f}", f"{s.v_max * 3.6:.1f}", c.title])
+    return ["cycle", "time \\[s]", "distance \\[km]", "top \\[km/h]", "title"], rows
+
+
+def print_named(name: str) -> None:
+    """Print all numbers of a vehicle, a component or a cycle."""
+    found = _find(name)
+    if isinstance(found, Vehicle):
+        _show_vehicle(found)
+    elif isinstance(found, Cycle):
+        _show_cycle(found)
+    else:
+        _show_component(found)
+
+
+def _find(name: str) -> Vehicle | Cycle | ComponentFile:
+    if name.lower().endswith(".csv"):
+        return Cycle.load(name)
+    if name.endswith(".toml"):
+        return _component(name) if _is_component(Path(name)) else Vehicle.load(name)
+    if name in vehicle_names():
+        return Vehicle.load(name)
+    if name in component_names():
+        return _component(name)
+    if name.lower() in cycle_names():
+        return Cycle.load(name)
+    known = [*vehicle_names(), *component_names(), *cycle_names()]
+    raise InputError(f"'{name}'", [f"no vehicle, component or cycle of the library is called so{nearest(name, known)}"])
+
+
+def _is_component(path: Path) -> bool:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")).get("kind") in KINDS
+    except (OSError, ValueError):
+        return False  # the reader of vehicles says what is wrong
+
+
+def _component(name: str) -> ComponentFile:
+    try:
+        return read_component(name)
+    except InputError:
+        # What other parts of a vehicle decide may be left open.
+        return read_component(name, [rule.target.partition(".")[2] for rule in RULES.values()])
+
+
+def _head(name: str, title: str, facts: Iterable[tuple[str, str]]) -> None:
+    console().print(f"[bold]{escape(name)}[/]  {escape(title)}", highlight=False, soft_wrap=True)
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(no_wrap=True)
+    grid.add_column(overflow="fold")
+    for key, value in facts:
+        grid.add_row(f"[dim]{key}[/]", escape(value))
+    console().print(Padding(grid, (0, 0, 0, 2)))
+
+
+def _value_table(*headings: str) -> Table:
+    table = new_table()
+    table.add_column(headings[0], no_wrap=True)
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("meaning", overflow="fold", min_width=18)
+    for heading in headings[1:]:
+        table.add_column(heading, no_wrap=True)
+    return table
+
+
+def _show_vehicle(v: Vehicle) -> None:
+    _head(v.name, v.title, [("powertrain", v.powertrain), ("source", v.source)])
+    parts = new_table()
+    for heading in ("role", "component", "kind", "title"):
+        parts.add_column(heading, no_wrap=heading == "role", overflow="fold")
+    for role, part in v.parts.items():
+        parts.add_row(role, escape(part.name), part.kind, escape(part.title))
+    console().print(parts)
+    ruled = {target: type(rule).__name__ for target, rule in v.rules.items()}
+    table = _value_table("parameter", "from")
+    for role, p in v.parameters.items():
+        for name, spec, value in numbers(p):
+            full = f"{role}.{name}"
+            origin = "set" if full in v.explicit else "rule" if full in ruled or full.rpartition("_")[0] in ruled else ""
+            table.add_row(full, f"{value:g}", spec.unit, escape(spec.doc), origin)
+        specs = {f.name: spec_of(f) for f in fields(p)}
+        for name, t in tables(p):
+            table.add_row(f"{role}.{name}", "map", specs[name].unit, escape(f"{specs[name].doc}; {_extent(t)}"), "")
+        table.add_section()
+    console().print(table)
+
+
+def _show_component(c: ComponentFile) -> None:
+    _head(c.name, c.title, [("kind", c.kind), ("source", c.source)])
+    table = _value_table("parameter")
+    for f in fields(c.component.parameters):
+        spec = spec_of(f)
+        value = c.values.get(f.name, f.default)
+        if value is MISSING:
+            table.add_row(f.name, "open", spec.unit, escape(f"{spec.doc}; follows from other parts of a vehicle"))
+        elif spec.axes:
+            table.add_row(f.name, "map", spec.unit, escape(f"{spec.doc}; {_extent(value)}"))
+        elif spec.row:
+            for i, x in enumerate(value, 1):
+                table.add_row(f"{f.name}_{i}", f"{x:g}", spec.unit, escape(spec.doc))
+        else:
+            table.add_row(f.name, f"{value:g}", spec.unit, escape(spec.doc))
+    console().print(table)
+
+
+def _extent(t: Map) -> str:
+    return f"{' x '.join(str(n) for n in t.values.shape)} values, {t.values.min():.4g} to {t.values.max():.4g}"
+
+
+def _show_cycle(c: Cycle) -> None:
+    s = c.statistics()
+    _head(c.name, c.title, [("source", c.source)])
+    table = _value_table("figure")
+    for name, value, unit, doc in (
+        ("duration", s.duration, "s", "time from the first point to the last"),
+        ("distance", s.distance / 1000, "km", "distance driven if the trace is met"),
+        ("v_max", s.v_max * 3.6, "km/h", "top speed"),
+        ("v_mean", s.v_mean * 3.6, "km/h", "mean speed, stops included"),
+        ("a_max", s.a_max, "m/s^2", "largest acceleration"),
+        ("a_min", s.a_min, "m/s^2", "largest deceleration"),
+        ("t_idle", s.t_idle, "s", "time at rest"),
+        ("stops", float(s.stops), "1", "number of stops"),
+    ):
+        table.add_row(name, f"{value:.5g}", unit, doc)
+    if c.grade_by_distance is not None:
+        low, high = (100 * float(x) for x in (c.grade_by_distance[1].min(), c.grade_by_distance[1].max()))
+        table.add_row("grade", f"{low:.3g} to {high:.3g}", "%", "grade of the road, by distance")
+    elif c.grade is not None:
+        table.add_row("grade", f"{100 * c.grade.min():.3g} to {100 * c.grade.max():.3g}", "%", "grade of the road, by time")
+    console().print(table)
