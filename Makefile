@@ -10,7 +10,7 @@ COMPILER := $(if $(shell command -v cc || command -v gcc || command -v clang),,c
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test lint bench reproduce docs clean
+.PHONY: help demo test lint validate bench reproduce docs clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "%-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -27,6 +27,9 @@ lint: .venv/.installed-dev  ## check style, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p halfshaft
+
+validate: .venv/.installed-dev  ## run the slow checks against the forward-facing model
+	$(BIN)/python -m pytest -n 2 validation/test_forward.py
 
 bench: .venv/.installed-bench  ## time the step and compare it with FASTSim
 	$(BIN)/halfshaft bench

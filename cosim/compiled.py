@@ -2,7 +2,7 @@
 
 The generated C (`halfshaft.fmu_build.code`) and the loop in ``march.c`` make one shared library, compiled once and kept
 in the user's cache.  `ctypes` releases the interpreter lock during a call, so threads scale.  Without a compiler the
-same step runs on CasADi's virtual machine, some twenty times slower, with one warning.
+same step runs on CasADi's virtual machine, some 400 times slower, with one warning.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def stepper(model: Model, title: str = "") -> Stepper:
     try:
         return CompiledStep(assemble(model, title, compiled_tables))
     except CompileError as error:
-        warnings.warn(f"running without compiled code, about 20 times slower: {error}", SlowWarning, stacklevel=3)
+        warnings.warn(f"running without compiled code, some 400 times slower: {error}", SlowWarning, stacklevel=3)
         return InterpretedStep(assemble(model, title, interpolants))
 
 
