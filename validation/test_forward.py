@@ -1,4 +1,4 @@
-"""Slow checks against the forward-facing model; run with ``make validate`` (some five minutes)."""
+"""Slow checks against the forward-facing model; run with ``make validate`` (some two minutes)."""
 
 from __future__ import annotations
 
