@@ -98,7 +98,7 @@ _ARGUMENTS = {
 
 
 def _lost(step: Step, samples: Samples, k: int) -> SolveError:
-    return SolveError(f"{step.name}: a result of the step that ends at t = {samples.t[k]:g} s is not a number; check the inputs")
+    return SolveError(f"{step.name}: by t = {samples.t[k]:g} s a result is not a number; check the inputs")
 
 
 class CompiledStep:

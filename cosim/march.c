@@ -28,7 +28,7 @@ typedef struct {
 /* Shortfall of the end speed when `v` is asked for. */
 static double shortfall(trial *t, double v) {
   t->u[0] = v;
-  t->failed |= hs_step_prepared(t->x, t->u, t->p, t->q, t->xn, t->y);
+  hs_step_prepared(t->x, t->u, t->p, t->q, t->xn, t->y);
   ++t->evaluations;
   return v - t->xn[HS_X_V];
 }
@@ -128,6 +128,8 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
       y[HS_Y_MISS] = v[k] - next[HS_X_V];
       next[HS_X_MISSED] = y[HS_Y_MISS] > p[HS_P_MISS];
     }
+    /* What is lost stays lost in a state: now and then is often enough to look. */
+    if (k % 16 == 15 || k == n - 1) t.failed |= hs_lost(next, HS_NX);
     if (t.failed) break;
     if (!history)
       for (int i = 0; i < HS_NY; ++i) {

@@ -4,12 +4,13 @@ It defines ``HS_NX``, ``HS_NU``, ``HS_NP``, ``HS_NQ``, ``HS_NY`` and::
 
     static void hs_start(const double *p, double *x);
     static int  hs_prepare(const double *p, double *q);
-    static int  hs_step_prepared(const double *x, const double *u, const double *p, const double *q, double *xn, double *y);
+    static void hs_step_prepared(const double *x, const double *u, const double *p, const double *q, double *xn, double *y);
+    static int  hs_lost(const double *x, int n);
     static int  hs_step(const double *x, const double *u, const double *p, double *xn, double *y);
 
 ``q`` holds what depends on parameters only, computed once for many steps.  ``hs_prepare`` returns nonzero when a
-parameter is not a number, ``hs_step_prepared`` when a result is not, ``hs_step`` when anything is not: minima and
-maxima would swallow it.
+parameter is not a number, ``hs_step`` when anything is not (minima and maxima would swallow it); who calls
+``hs_step_prepared`` must look with ``hs_lost``.
 
 The C is written from the expression graph, one line a node, in the order and with the operations of CasADi's virtual
 machine, so both give the same bits as long as the compiler does not contract (``-ffp-contract=off``).  Equal nodes are
@@ -172,13 +173,15 @@ def step_code(step: Step) -> str:
         "static void hs_start(const double *p, double *x) {", *starter.prepared, *_stores("x", first_names), "}\n",
         "static int hs_prepare(const double *p, double *q) {", *writer.prepared, *_stores("q", kept),
         "  return hs_lost(p, HS_NP);\n}\n",
-        "static int hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
-        "                            const double *restrict q, double *restrict xn, double *restrict y) {",
+        "static void hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
+        "                             const double *restrict q, double *restrict xn, double *restrict y) {",
         *_stored_at_once([*unpack, *writer.lines], [*_stores("xn", next_names), *_stores("y", output_names)]),
-        "  return hs_lost(xn, HS_NX);\n}\n",
+        "}\n",
         "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
         "  double q[HS_NQ];",
-        "  return hs_prepare(p, q) | hs_lost(x, HS_NX) | hs_lost(u, HS_NU) | hs_step_prepared(x, u, p, q, xn, y);\n}\n",
+        "  const int lost = hs_prepare(p, q) | hs_lost(x, HS_NX) | hs_lost(u, HS_NU);",
+        "  hs_step_prepared(x, u, p, q, xn, y);",
+        "  return lost | hs_lost(xn, HS_NX);\n}\n",
     ]  # fmt: skip
     return "\n".join(parts)
 

@@ -38,11 +38,8 @@ class Clutch(TwoSided):
     parameters = ClutchParameters
     output = Port(Shaft, "wheel")
     input = Port(Shaft, "source")
-    variables = (
-        Variable("tau_clutch", "N.m", "required output torque", signal=True),
-        Variable("omega_clutch", "rad/s", "required output speed", signal=True),
-    )
-    laws = ("geared",)
+    variables = (Variable("tau_clutch", "N.m", "required output torque", signal=True),)
+    laws = ("geared", "omega_clutch")
 
     @face("geared")
     def law(self) -> Mapping[str, Any]:

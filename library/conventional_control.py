@@ -54,9 +54,8 @@ class ConventionalControl(Component):
         Variable("clutch_slipping", "1", "whether the clutch slips", signal=True, kind="flag"),
         Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
         Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
-        Variable("omega_launch", "rad/s", "engine speed while the clutch slips", signal=True),
     )
-    laws = ("omega_idle",)
+    laws = ("omega_idle", "omega_launch")
 
     def start(self, v: Expr) -> Mapping[str, Any]:  # type: ignore[override]
         """Return the start values: engaged if the vehicle moves."""

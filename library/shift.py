@@ -75,8 +75,8 @@ class Shift(Component):
         Variable("ratio", "1", "ratio of the gear", signal=True),
         Variable("shifting", "1", "whether a shift is under way", signal=True, kind="flag"),
         Variable("load", "1", "estimated load of the machine"),
-        Variable("omega_input_estimate", "rad/s", "estimated input speed in the present gear", signal=True),
     )
+    laws = ("omega_input_estimate",)
 
     def start(self) -> Mapping[str, Any]:
         """Return the start values: first gear, no recent shift."""

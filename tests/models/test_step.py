@@ -155,7 +155,7 @@ def test_a_lost_number_stops_the_march_and_says_when(powertrain, marches):
     v = UDDS.v.copy()
     v[99] = np.nan
     for stepper in (compiled, InterpretedStep(compiled.step)):
-        with pytest.raises(SolveError, match=r"the step that ends at t = 100 s is not a number"):
+        with pytest.raises(SolveError, match=r"by t = 100 s a result is not a number"):
             stepper.march(UDDS._replace(v=v), parameters)
 
 
