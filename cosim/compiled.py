@@ -91,7 +91,7 @@ def _address(array: Array | None) -> int | None:
 _LONG, _PLACE = ctypes.c_long, ctypes.c_void_p
 #: Argument types of the functions in ``march.c``.
 _ARGUMENTS = {
-    "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 7, ctypes.c_int, _PLACE),
+    "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 4, ctypes.c_int, _PLACE),
     "hs_one": (_PLACE,) * 5,
     "hs_first": (_PLACE,) * 2,
 }
@@ -155,15 +155,15 @@ class CompiledStep:
         """
         n, n_outputs = len(samples.t), len(self.step.outputs)
         parameters = np.ascontiguousarray(parameters, dtype=float)
-        x = self.first(parameters) if state is None else np.array(state, dtype=float)
+        x = np.empty(len(self.step.states)) if state is None else np.array(state, dtype=float)
         rows = np.empty((n, n_outputs)) if history else None
         sums, highest = (None, None) if history else (np.empty(n_outputs), np.empty(n_outputs))
         evaluations = ctypes.c_long()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
             n, *map(_address, (samples.dt, samples.v, samples.grade, samples.key_on)),
-            0 if distance is None else len(distance), *map(_address, (distance, grade, parameters, x, rows, sums, highest)),
-            MODES.index(mode), ctypes.byref(evaluations),
+            0 if distance is None else len(distance), *map(_address, (distance, grade, parameters)),
+            state is not None, *map(_address, (x, rows, sums, highest)), MODES.index(mode), ctypes.byref(evaluations),
         )  # fmt: skip
         if done < n:
             raise _lost(self.step, samples, done)

@@ -92,16 +92,18 @@ static double grade_at(double s, long n, const double *distance, const double *g
   return grade[low] + (grade[high] - grade[low]) * (s - distance[low]) / (distance[high] - distance[low]);
 }
 
-/* March `n` steps from the state `x`, which becomes the last state.  `history` holds n rows of outputs; where it is null,
-   `sums` gets the time integrals and `highest` the maxima of all outputs.  Returns the number of steps done; less than n if a
-   number was lost.  `evaluations` gets the number of calls of the step. */
+/* March `n` steps from the state `x`, or where not `started` from the start state; `x` becomes the last state.  `history`
+   holds n rows of outputs; where it is null, `sums` gets the time integrals and `highest` the maxima of all outputs.
+   Returns the number of steps done; less than n if a number was lost.  `evaluations` gets the number of calls of the
+   step. */
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
-                        const double *grade_distance, const double *grade_value, const double *p, double *x, double *history,
-                        double *restrict sums, double *restrict highest, int mode, long *evaluations) {
+                        const double *grade_distance, const double *grade_value, const double *p, int started, double *x,
+                        double *history, double *restrict sums, double *restrict highest, int mode, long *evaluations) {
   double state[2][HS_NX], decided[HS_NX], row[HS_NY], u[HS_NU], q[HS_NQ];
   double *now = state[0], *next = state[1];
   trial t = {0, p, q, u, 0, 0, 0, 0, 0, 1};
   long k;
+  if (!started) hs_start(p, x);
   t.failed = hs_prepare(p, q) | hs_lost(x, HS_NX);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
   for (int i = 0; !history && i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
