@@ -123,7 +123,7 @@ class Component:
         """Yield the faces."""
         for name in dir(type(self)):
             gives = getattr(getattr(type(self), name), "_gives", None)
-            if gives is not None and name != "start":
+            if gives is not None:
                 method = getattr(self, name)
                 takes, optional = arguments(method)
                 yield Face(name, takes, optional, gives, method)

@@ -25,7 +25,7 @@ import casadi as ca
 
 from halfshaft.library.component import Component, Face
 from halfshaft.library.ports import SHOWN
-from halfshaft.models.assembly import Description, Step, all_tables, symbolic
+from halfshaft.models.assembly import Description, Step, symbolic
 from halfshaft.models.model import Model
 from halfshaft.models.wiring import Key, Wiring
 
@@ -79,7 +79,6 @@ class PlantWiring(Wiring):
 
     def _signals(self, problems: list[str]) -> dict[str, Key]:
         bus = super()._signals(problems)
-        self._step_states = {name: {s.name for s in part.states} for name, part in self.parts.items()}
         for name, part in self.parts.items():
             bus |= {s.name: ("state", name, s.name) for s, _ in part.plant_states if s.signal}
         return {**bus, **{n: ("neutral", "", n) for n in NEUTRAL}, "a": ("algebraic", "", "a")}
@@ -173,6 +172,3 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
 
 def _described(step: Step, name: str) -> Description:
     return step.outputs[step.output_index[name]]._replace(state=None, booking="")
-
-
-__all__ = ["NEUTRAL", "V_SMOOTH", "Plant", "all_tables", "assemble_plant"]

@@ -48,7 +48,10 @@ def test_tutorial_runs_from_top_to_bottom(tmp_path, monkeypatch):
 def test_example_of_the_readme_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (example,) = blocks(ROOT / "README.md", "python")
-    exec(compile(example, "README.md", "exec"), {"__name__": "readme"})
+    space = {"__name__": "readme"}
+    exec(compile(example, "README.md", "exec"), space)
+    assert space["result"].summary["distance_m"] > 0
+    assert (tmp_path / "car.fmu").stat().st_size > 0
 
 
 @pytest.mark.parametrize(("page", "line"), [pytest.param(p, line, id=f"{p.stem}: {line}") for p in PAGES for line in commands(p)])
