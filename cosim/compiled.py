@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -22,7 +22,7 @@ import numpy.typing as npt
 from halfshaft.cosim.cycle import Samples
 from halfshaft.fmu_build.code import compiled_tables, step_code
 from halfshaft.fmu_build.compiler import SlowWarning, shared_library
-from halfshaft.library.errors import CompileError, SolveError
+from halfshaft.library.errors import CompileError, InputError, SolveError
 from halfshaft.library.tables import interpolants
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.model import Model
@@ -30,25 +30,35 @@ from halfshaft.models.model import Model
 Array: TypeAlias = npt.NDArray[np.float64]
 Mode: TypeAlias = Literal["hybrid", "refined", "iteration"]
 MODES: tuple[Mode, ...] = ("hybrid", "refined", "iteration")
+#: At most so many outputs are named.
+NAMED = 5
 
 
 @dataclass(frozen=True)
 class March:
     """What a march over a cycle leaves: outputs of shape ``(n, n_outputs)``, or only their totals; the last state."""
 
+    step: Step
+    samples: Samples
     history: Array | None
     totals: tuple[Array, Array] | None
-    dt: Array
     state: Array
     evaluations: int
 
     @cached_property
     def sums(self) -> Array:
-        """Time integral of each output."""
+        """Time integral of each output.
+
+        Raises
+        ------
+        SolveError
+            If an output is not finite in some step.
+
+        """
         if self.totals is not None:
             return self.totals[0]
         assert self.history is not None
-        return np.asarray(self.dt @ self.history)
+        return integrals(self.step.name, self.step.output_index, self.samples, self.history)
 
     @cached_property
     def highest(self) -> Array:
@@ -57,6 +67,23 @@ class March:
             return self.totals[1]
         assert self.history is not None
         return np.asarray(np.max(self.history, axis=0, initial=-np.inf))
+
+
+def integrals(name: str, outputs: Iterable[str], samples: Samples, history: Array) -> Array:
+    """Return the time integral of each output; what is not finite in any step shows in it, at no cost.
+
+    Raises
+    ------
+    SolveError
+        If an output is not finite in some step; the message names the first such step and the outputs.
+
+    """
+    sums: Array = np.dot(samples.dt, history)
+    if np.isfinite(sums).all():
+        return sums
+    rows = np.flatnonzero(~np.isfinite(history).all(axis=1))
+    k = int(rows[0]) if len(rows) else len(history) - 1
+    raise _lost(name, samples, k, outputs, history[k] if len(rows) else sums)
 
 
 class Stepper(Protocol):
@@ -97,8 +124,35 @@ _ARGUMENTS = {
 }
 
 
-def _lost(step: Step, samples: Samples, k: int) -> SolveError:
-    return SolveError(f"{step.name}: by t = {samples.t[k]:g} s a result is not a number; check the inputs")
+def _lost(name: str, samples: Samples, k: int, outputs: Iterable[str] = (), values: Array | None = None) -> SolveError:
+    lost = [] if values is None else [output for output, x in zip(outputs, values, strict=True) if not np.isfinite(x)]
+    what = ", ".join(lost[:NAMED]) + (f" and {len(lost) - NAMED} more" if len(lost) > NAMED else "")
+    return SolveError(
+        f"{name}: by t = {samples.t[k]:g} s {f'not finite: {what}' if lost else 'a result is not a number'}; check the inputs"
+    )
+
+
+def _doubles(what: str, values: npt.ArrayLike, n: int) -> Array:
+    """Return `n` numbers as C reads them, whatever they came in: doubles of this machine, one behind the other."""
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError("step", [f"{what}: {error}"]) from error
+    if array.shape != (n,):
+        raise InputError("step", [f"{what} has the shape {array.shape}, must be ({n},)"])
+    return array if array.flags.aligned else array.copy()
+
+
+def _read_by_c(samples: Samples) -> Samples:
+    """Return samples as C reads them."""
+    n, grades = len(samples.t), samples.grade_by_distance
+    return samples._replace(
+        dt=_doubles("dt", samples.dt, n),
+        v=_doubles("v", samples.v, n),
+        grade=_doubles("grade", samples.grade, n),
+        key_on=_doubles("key_on", samples.key_on, n),
+        grade_by_distance=grades and (_doubles("distance", grades[0], len(grades[0])), _doubles("grade", grades[1], len(grades[0]))),
+    )
 
 
 class CompiledStep:
@@ -126,7 +180,8 @@ class CompiledStep:
     def first(self, parameters: Array) -> Array:
         """Return the start state."""
         state = np.empty(len(self.step.states))
-        self._library.hs_first(_address(np.ascontiguousarray(parameters, dtype=float)), _address(state))
+        parameters = _doubles("parameters", parameters, len(self.step.parameters))
+        self._library.hs_first(_address(parameters), _address(state))
         return state
 
     def __call__(self, state: Array, request: Array, parameters: Array) -> tuple[Array, Array]:
@@ -139,7 +194,11 @@ class CompiledStep:
 
         """
         following, outputs = np.empty(len(self.step.states)), np.empty(len(self.step.outputs))
-        inputs = [np.ascontiguousarray(x, dtype=float) for x in (state, request, parameters)]
+        inputs = (
+            _doubles("state", state, len(self.step.states)),
+            _doubles("request", request, len(self.step.requests)),
+            _doubles("parameters", parameters, len(self.step.parameters)),
+        )
         if self._library.hs_one(*(_address(x) for x in (*inputs, following, outputs))):
             raise SolveError(f"{self.step.name}: an input or a result of the step is not a number")
         return following, outputs
@@ -150,12 +209,15 @@ class CompiledStep:
         Raises
         ------
         SolveError
-            If a result is not a number.
+            If a state is not a number, or without `history` an output is not finite; with it, the sums tell.
+        InputError
+            If an array is of another length.
 
         """
-        n, n_outputs = len(samples.t), len(self.step.outputs)
-        parameters = np.ascontiguousarray(parameters, dtype=float)
-        x = np.empty(len(self.step.states)) if state is None else np.array(state, dtype=float)
+        n, n_outputs, n_states = len(samples.t), len(self.step.outputs), len(self.step.states)
+        samples = _read_by_c(samples)
+        parameters = _doubles("parameters", parameters, len(self.step.parameters))
+        x = np.empty(n_states) if state is None else _doubles("state", state, n_states).copy()
         rows = np.empty((n, n_outputs)) if history else None
         sums, highest = (None, None) if history else (np.empty(n_outputs), np.empty(n_outputs))
         evaluations = ctypes.c_long()
@@ -166,8 +228,8 @@ class CompiledStep:
             state is not None, *map(_address, (x, rows, sums, highest)), MODES.index(mode), ctypes.byref(evaluations),
         )  # fmt: skip
         if done < n:
-            raise _lost(self.step, samples, done)
-        return March(rows, None if sums is None or highest is None else (sums, highest), samples.dt, x, evaluations.value)
+            raise _lost(self.step.name, samples, done, self.step.output_index, sums)
+        return March(self.step, samples, rows, None if sums is None or highest is None else (sums, highest), x, evaluations.value)
 
 
 class InterpretedStep:
@@ -195,7 +257,9 @@ class InterpretedStep:
         """Run a whole cycle; only the plain hybrid mode."""
         if mode != "hybrid":
             raise CompileError(f"the {mode} mode needs a C compiler")
-        x = self.first(parameters) if state is None else np.array(state, dtype=float)
+        samples = _read_by_c(samples)
+        parameters = _doubles("parameters", parameters, len(self.step.parameters))
+        x = self.first(parameters) if state is None else _doubles("state", state, len(self.step.states))
         distance = self.step.state_index["body.distance"]
         rows = np.empty((len(samples.t), len(self.step.outputs)))
         for k, (v, grade, key_on, dt) in enumerate(zip(samples.v, samples.grade, samples.key_on, samples.dt, strict=True)):
@@ -204,5 +268,5 @@ class InterpretedStep:
             try:
                 x, rows[k] = self(x, np.array([v, grade, key_on, dt, 0.0]), parameters)
             except SolveError:
-                raise _lost(self.step, samples, k) from None
-        return March(rows, None, samples.dt, x, len(rows))
+                raise _lost(self.step.name, samples, k) from None
+        return March(self.step, samples, rows, None, x, len(rows))

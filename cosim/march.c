@@ -133,11 +133,13 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     /* What is lost stays lost in a state: now and then is often enough to look. */
     if (k % 16 == 15 || k == n - 1) t.failed |= hs_lost(next, HS_NX);
     if (t.failed) break;
-    if (!history)
+    if (!history) {
       for (int i = 0; i < HS_NY; ++i) {
         sums[i] += y[i] * dt[k];
         highest[i] = y[i] > highest[i] ? y[i] : highest[i];
       }
+      if ((k % 16 == 15 || k == n - 1) && hs_lost(sums, HS_NY)) break;
+    }
     double *swap = now; now = next; next = swap;
   }
   for (int i = 0; i < HS_NX; ++i) x[i] = now[i];

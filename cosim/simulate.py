@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from halfshaft import __version__
-from halfshaft.cosim.compiled import Array, Mode, Stepper, stepper
+from halfshaft.cosim.compiled import MODES, Array, Mode, Stepper, integrals, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
+from halfshaft.cosim.memory import check_memory
 from halfshaft.cosim.result import Inputs, Result
-from halfshaft.library.errors import InputError
+from halfshaft.library.errors import InputError, nearest
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
@@ -78,28 +79,26 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     Raises
     ------
     InputError
-        If `dt` is not positive, or the mode does not go with the way of running.
+        If an argument is not what it must be, the mode does not go with the way of running, or the run does not fit
+        into the memory.
+    SolveError
+        If an output is not finite in some step.
 
     """
-    problems = []
-    if not (np.isfinite(dt) and dt > 0):
-        problems.append(f"dt = {dt} s, must be > 0 s")
-    if mode != "hybrid" and via != "step":
-        problems.append(f"mode {mode} runs via step only, not via {via}")
-    if problems:
-        raise InputError("run", problems)
+    dt = _checked(vehicle, cycle, via, dt, mode)
     inputs = Inputs(vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values))
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs)
     if via in ("fmu2", "fmu3"):
         from halfshaft.cosim.by_fmu import march_fmu
 
-        step, samples = stepper_of(vehicle).step, cycle.sampled(dt)
+        step = stepper_of(vehicle).step
+        samples = _sampled(cycle, dt, len(step.outputs))
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
         return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, samples))
     compiled = stepper_of(vehicle)
-    samples = cycle.sampled(dt)
+    samples = _sampled(cycle, dt, len(compiled.step.outputs), history)
     march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
     names = [d.name for d in compiled.step.outputs]
     energies = dict(zip(names, march.sums.tolist(), strict=True))
@@ -107,6 +106,34 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     last = {d.name: float(march.state[d.state]) for d in compiled.step.outputs if d.state is not None}
     rows = np.empty((0, len(names))) if march.history is None else march.history
     return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, samples), last)
+
+
+def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> float:
+    """Return the length of the step as a number, or raise an error with all that is wrong with the arguments of a run."""
+    problems = [
+        f"{name} must be a {kind.__name__}, such as {kind.__name__}.load('{example}'), not {type(value).__name__}"
+        for name, value, kind, example in (("vehicle", vehicle, Vehicle, "small-car-electric"), ("cycle", cycle, Cycle, "udds"))
+        if not isinstance(value, kind)
+    ]
+    for name, value, known in (("via", via, get_args(Via)), ("mode", mode, MODES)):
+        if not (isinstance(value, str) and value in known):
+            problems.append(f"{name} = {value!r}, must be one of {', '.join(known)}{nearest(str(value), known)}")
+    try:
+        seconds = float(dt)
+    except (TypeError, ValueError, OverflowError):
+        seconds = np.nan
+    if not 0 < seconds < np.inf:
+        problems.append(f"dt = {dt} s, must be a number > 0 s")
+    if not problems and mode != "hybrid" and via != "step":
+        problems.append(f"mode {mode} runs via step only, not via {via}")
+    if problems:
+        raise InputError("run", problems)
+    return seconds
+
+
+def _sampled(cycle: Cycle, dt: float, n_outputs: int, history: bool = True) -> Samples:
+    check_memory(cycle.duration / dt, n_outputs, history)
+    return cycle.sampled(dt)
 
 
 def _first(vehicle: Vehicle, samples: Samples) -> dict[str, float]:
@@ -117,7 +144,8 @@ def _first(vehicle: Vehicle, samples: Samples) -> dict[str, float]:
 
 
 def _integrals(step: Step, rows: Array, samples: Samples) -> dict[str, float]:
-    return dict(zip((d.name for d in step.outputs), (rows.T @ samples.dt).tolist(), strict=True))
+    names = [d.name for d in step.outputs]
+    return dict(zip(names, integrals(step.name, names, samples, rows).tolist(), strict=True))
 
 
 def _result(
@@ -136,7 +164,7 @@ def _result(
 
 def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver = Driver()) -> Result:  # noqa: B008
     forward = _forward(Build(vehicle))
-    samples = cycle.sampled(driver.dt)
+    samples = _sampled(cycle, driver.dt, len(forward.plant.shown))
     parameters = parameters_of(vehicle, forward.stepper.step, samples.v_start)
     done = forward.run(samples, parameters)
     outputs = (
@@ -147,5 +175,6 @@ def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver 
     v = done.history[:, [d.name for d in forward.plant.shown].index("body.v")]
     rows = np.column_stack([done.history, samples.v, samples.v - v])
     # Powers are integrated by IDAS; of all else the sum over the samples must do.
-    energies = {d.name: float(e) for d, e in zip(outputs, rows.T @ samples.dt, strict=True)} | done.energies
+    names = [d.name for d in outputs]
+    energies = dict(zip(names, integrals(forward.plant.name, names, samples, rows).tolist(), strict=True)) | done.energies
     return _result(inputs, outputs, samples, rows, energies, _first(vehicle, samples))
