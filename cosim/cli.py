@@ -37,6 +37,7 @@ from halfshaft.cosim.fmu import build_fmu, fmu_problems
 from halfshaft.cosim.simulate import Via, run
 from halfshaft.fmu_build.variables import Version
 from halfshaft.library.errors import HalfshaftError
+from halfshaft.library.writing import target_problem
 from halfshaft.models.vehicle import Vehicle
 
 T = TypeVar("T")
@@ -348,20 +349,18 @@ class _Checks:
 
     def target(self, path: Path | None, option: str) -> None:
         """Note a file that cannot be written."""
-        if path is None:
-            return
-        if path.is_dir():
-            self.problem(f"{option} {path}: is a folder, must be a file")
-        elif not path.parent.is_dir():
-            self.problem(f"{option} {path}: there is no folder {path.parent}")
-        elif not os.access(path.parent, os.W_OK | os.X_OK):
-            self.problem(f"{option} {path}: the folder {path.parent} cannot be written to")
+        if path is not None and (problem := target_problem(path)):
+            self.problem(f"{option} {path}: {problem}")
 
     def folder(self, path: Path | None, option: str) -> None:
         """Note a folder that cannot be made or written to."""
         if path is None:
             return
-        there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+        try:
+            there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+        except OSError as error:
+            self.problem(f"{option} {path}: cannot be written: {error.strerror}")
+            return
         if not there.is_dir():
             self.problem(f"{option} {path}: {there} is a file, must be a folder")
         elif not os.access(there, os.W_OK | os.X_OK):

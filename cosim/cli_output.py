@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import math
@@ -9,7 +10,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ from halfshaft.cosim.result import Result
 from halfshaft.library.errors import HalfshaftError
 from halfshaft.models.vehicle import Vehicle
 
+#: Exit codes as shells have them for a program that a signal ended: of an interrupt, and of a pipe that nobody reads.
+INTERRUPTED, NOBODY_READS = 130, 141
 #: The ways of running, as a reader knows them.
 VIA = {"step": "compiled step", "fmu2": "FMI 2.0", "fmu3": "FMI 3.0", "forward": "forward-facing model"}
 
@@ -36,11 +39,42 @@ VIA = {"step": "compiled step", "fmu2": "FMI 2.0", "fmu3": "FMI 3.0", "forward":
 class Commands(TyperGroup):
     """The commands, with errors and warnings shown as one message each."""
 
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Run the command line and leave the program; also when its output cannot be written, or it is interrupted."""
+        if sys.stderr is None:
+            sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
+        stdout = sys.stdout
+        try:
+            if stdout is None:
+                raise OSError(errno.EBADF, "it is closed")
+            for stream in (stdout, sys.stderr):
+                # Names of files need not be text.
+                if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+                    stream.reconfigure(errors="replace")
+            try:
+                super().main(*args, **extra)
+            finally:
+                # What is left in the buffer is written now, where it may still fail.
+                sys.stdout.flush()
+        except OSError as error:
+            _give_up(stdout)
+            if error.errno == errno.EPIPE:
+                sys.exit(NOBODY_READS)
+            what = error.filename or "standard output"
+            with suppress(OSError):
+                typer.secho(f"error: {what}: cannot be written: {error.strerror}", fg="red", err=True)
+            sys.exit(2)
+        except SystemExit as end:
+            if end.code == 1:
+                # What typer and rich make of a pipe that was closed while they wrote; nothing else ends so.
+                _give_up(stdout)
+                sys.exit(NOBODY_READS)
+            if end.code == INTERRUPTED:
+                typer.secho("interrupted", err=True)
+            raise
+
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, io.TextIOWrapper) and not stream.encoding.lower().startswith("utf"):
-                stream.reconfigure(errors="replace")
         seen: set[str] = set()
         stderr = sys.stderr
 
@@ -57,9 +91,16 @@ class Commands(TyperGroup):
             warnings.showwarning = show
             try:
                 return super().invoke(ctx)
-            except HalfshaftError as error:
+            except (HalfshaftError, MemoryError) as error:
                 typer.secho(f"error: {error}", fg="red", err=True)
                 raise typer.Exit(2) from None
+
+
+def _give_up(stdout: Any) -> None:
+    """Let what is still to be written go nowhere, or the interpreter complains at its end."""
+    if stdout is not None:
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
 
 
 def console() -> Console:

@@ -75,7 +75,9 @@ def test_packages_are_named_as_their_folders():
 
 def test_links_for_type_checkers_lead_to_the_packages():
     links = ROOT / ".typing" / "halfshaft"
-    expected = {FOLDERS["halfshaft"] / name for name in ("__init__.py", "py.typed")} | {FOLDERS[f"halfshaft.{name}"] for name in ORDER}
+    expected = {FOLDERS["halfshaft"] / name for name in ("__init__.py", "__main__.py", "py.typed")} | {
+        FOLDERS[f"halfshaft.{name}"] for name in ORDER
+    }
     assert {link.resolve() for link in links.iterdir()} == expected
 
 

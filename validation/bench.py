@@ -18,9 +18,10 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from halfshaft.cosim.acceleration import DT, prepared
-from halfshaft.cosim.compiled import Mode
+from halfshaft.cosim.compiled import InterpretedStep, Mode
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
+from halfshaft.fmu_build.compiler import find_compiler
 from halfshaft.library.errors import CompileError, SolveError
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.validation import paper
@@ -93,7 +94,15 @@ def bench(progress: Callable[[str], None] | None = None) -> dict[str, Any]:
     dict
         ``rows``: dicts of ``name``, ``value`` (None if it could not be measured), ``unit``, ``target`` and ``note``.
 
+    Raises
+    ------
+    CompileError
+        If there is no C compiler, or it fails: the interpreter would take minutes.
+
     """
+    find_compiler()
+    if isinstance(stepper_of(Vehicle.load("small-car-electric")), InterpretedStep):
+        raise CompileError("what is timed is compiled code: the C compiler must work")
     say = progress or (lambda _: None)
     rows: list[Row] = []
     with one_core() as cores:

@@ -1,12 +1,17 @@
 import json
 import os
+import shlex
+import signal
+import stat
 import subprocess
 import sys
+import time
 
 import pytest
 from typer.testing import CliRunner
 
 import halfshaft
+from halfshaft.cosim import simulate
 from halfshaft.cosim.cli import app
 
 KEYS = {
@@ -181,14 +186,16 @@ def test_a_full_disk_is_an_error_without_a_trace(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def without_compiler(*arguments):
-    env = {**os.environ, "CC": "/nowhere/cc"}
-    command = [sys.executable, "-c", "from halfshaft.cosim.cli import app; app()", *arguments]
-    return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+PROGRAM = (sys.executable, "-m", "halfshaft")
 
 
-def test_without_a_compiler_it_runs_with_one_warning():
-    result = without_compiler("run", "small-car-electric", "--cycle", "im240", "--json")
+def without_compiler(cache, *arguments):
+    env = {**os.environ, "CC": "/nowhere/cc", "HALFSHAFT_CACHE": str(cache)}
+    return subprocess.run([*PROGRAM, *arguments], env=env, capture_output=True, text=True, check=False)
+
+
+def test_without_a_compiler_it_runs_with_one_warning(tmp_path):
+    result = without_compiler(tmp_path, "run", "small-car-electric", "--cycle", "im240", "--json")
     assert result.returncode == 0
     (line,) = result.stderr.splitlines()
     assert line.startswith("warning: running without compiled code")
@@ -196,11 +203,96 @@ def test_without_a_compiler_it_runs_with_one_warning():
     assert found["soc_end"] == pytest.approx(compiled["soc_end"], rel=1e-9)
 
 
-def test_without_a_compiler_there_is_no_fmu(tmp_path):
-    result = without_compiler("fmu", "small-car-electric", "--fmi", "3", "-o", str(tmp_path / "car.fmu"))
-    assert result.returncode == 2
-    assert result.stderr == "error: the C compiler that the environment variable CC names was not found: /nowhere/cc\n"
+def test_without_a_compiler_the_cache_serves():
+    done("run", "small-car-electric", "--cycle", "im240", "--json")
+    result = without_compiler(os.environ["HALFSHAFT_CACHE"], "run", "small-car-electric", "--cycle", "im240", "--json")
+    assert result.returncode == 0
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("warning: the C compiler that the environment variable CC names was not found")
+
+
+@pytest.mark.parametrize("arguments", [("fmu", "small-car-electric", "--fmi", "3", "-o", "car.fmu"), ("bench",)])
+def test_without_a_compiler_there_is_no_fmu_and_no_bench(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HALFSHAFT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("CC", "/nowhere/cc")
+    text = "the C compiler that the environment variable CC names was not found or is not executable: /nowhere/cc"
+    assert refused(*arguments) == f"error: {text}\n"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.filterwarnings("ignore::halfshaft.fmu_build.compiler.SlowWarning")
+def test_a_bench_with_a_compiler_that_fails_is_refused(tmp_path, monkeypatch):
+    simulate._stepper.cache_clear()
+    monkeypatch.setenv("HALFSHAFT_CACHE", str(tmp_path))
+    monkeypatch.setenv("CC", "false")
+    assert "the C compiler must work" in call("bench").stderr
+    simulate._stepper.cache_clear()
+
+
+SHELL = pytest.mark.skipif(os.name != "posix", reason="a shell and devices of POSIX")
+
+
+def shell(text):
+    """Return exit code and standard error of a command line; ``halfshaft`` in it is the program."""
+    line = f'halfshaft() {{ {shlex.join(PROGRAM)} "$@"; }}; {text}'
+    result = subprocess.run(["bash", "-c", line], capture_output=True, text=True, errors="replace", check=False)
+    return result.returncode, result.stderr
+
+
+@SHELL
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        ("halfshaft list cycles > /dev/full", 2, "error: standard output: cannot be written: No space left on device\n"),
+        ("halfshaft --help > /dev/full", 2, "error: standard output: cannot be written: No space left on device\n"),
+        ("halfshaft show us06 >&-", 2, "error: standard output: cannot be written: it is closed\n"),
+        ("halfshaft show us06 2>&- >&-", 2, ""),
+        ("halfshaft show us6 2>/dev/full", 2, ""),
+        ("halfshaft list cycles | true; exit ${PIPESTATUS[0]}", 141, ""),
+        ("halfshaft --help | true; exit ${PIPESTATUS[0]}", 141, ""),
+        ("LC_ALL=C.UTF-8 halfshaft show $'\\xff'", 2, "error: '\\udcff': no vehicle"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_an_error_or_the_end(text, code, said):
+    found, stderr = shell(text)
+    assert (found, stderr[: len(said)]) == (code, said)
+    assert len(stderr.splitlines()) <= 1
+
+
+@SHELL
+def test_an_interrupt_is_one_line_at_any_time():
+    # At the start of Python itself a program cannot do better than Python.
+    for after in (0.15, 0.4, 1.0, 2.0):
+        run = subprocess.Popen([*PROGRAM, "reproduce"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        time.sleep(after)
+        run.send_signal(signal.SIGINT)
+        _, stderr = run.communicate(timeout=60)
+        assert stderr == "interrupted\n", after
+        # A shell shows both as 130; Python ends by the signal where it caught it inside an exec() of a string.
+        assert run.returncode in (130, -signal.SIGINT), after
+
+
+def test_a_name_that_is_too_long_is_said_before_the_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = "a" * 300
+    text = refused(*RUN, "--out", f"{name}.nc", "--plot", f"{name}.png")
+    assert text.count("cannot be written: File name too long") == 2
+    assert "cannot be written: File name too long" in refused("fmu", "small-car-electric", "--fmi", "3", "-o", f"{name}.fmu")
+    assert "cannot be written: File name too long" in refused("reproduce", "--out", name)
+
+
+@SHELL
+def test_what_is_no_file_stays_what_it_is(tmp_path):
+    pipe, link, loop = tmp_path / "pipe.nc", tmp_path / "link.nc", tmp_path / "loop.nc"
+    os.mkfifo(pipe)
+    link.symlink_to("/dev/null")
+    loop.symlink_to(loop)
+    for path in (pipe, link):
+        assert "is a device or a pipe, must be a file" in refused(*RUN, "--out", path)
+    assert "cannot be written: Too many levels of symbolic links" in refused(*RUN, "--out", loop)
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert link.is_symlink()
 
 
 def test_acceleration():

@@ -1,0 +1,1 @@
+../../src/halfshaft/__main__.py
