@@ -15,13 +15,14 @@ one-second parts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
 from halfshaft.library.component import Component, State, Variable, face
 from halfshaft.library.engine import Engine, EngineParameters
@@ -160,6 +161,17 @@ class SeriesControl(Component):
         }
 
 
+@contextmanager
+def _without_date() -> Iterator[None]:
+    """Hide ``SOURCE_DATE_EPOCH``: a part of NumPy that SciPy imports does not bear one that is no number."""
+    given = os.environ.pop("SOURCE_DATE_EPOCH", None)
+    try:
+        yield
+    finally:
+        if given is not None:
+            os.environ["SOURCE_DATE_EPOCH"] = given
+
+
 def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: int = 11) -> Table:
     """Return the genset speed of least fuel over engine power, for engine scales of 1.
 
@@ -167,6 +179,9 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
     of ``n - 1`` equal parts of the power range every whole-numbered speed is tried; the cost is the engine's fuel per
     work over the generator's efficiency, plus 10 000 g/kWh outside of either envelope.
     """
+    with _without_date():
+        from scipy.interpolate import RegularGridInterpolator
+
     omega_engine, tau_engine = engine.fuel.points
     omega_generator = generator.P_electric.points[0] * generator.speed_scale
     tau_generator = generator.P_electric.points[1] * generator.torque_scale

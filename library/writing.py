@@ -7,6 +7,7 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 from halfshaft.library.errors import InputError
@@ -32,6 +33,18 @@ def target_problem(path: Path) -> str:
         return f"there is no folder {folder}"
     if not os.access(folder, os.W_OK | os.X_OK):
         return f"the folder {folder} cannot be written to"
+    return ""
+
+
+def date_problem() -> str:
+    """Return what is wrong with the date that ``SOURCE_DATE_EPOCH`` sets for what is written; empty if nothing is."""
+    given = os.environ.get("SOURCE_DATE_EPOCH", "")
+    try:
+        if given and not (given.isdecimal() and len(given) < 20):
+            raise ValueError
+        datetime.fromtimestamp(int(given or 0), UTC)
+    except (ValueError, OverflowError, OSError):
+        return f"the environment variable SOURCE_DATE_EPOCH = {given[:40]!r}, must be whole seconds since 1970"
     return ""
 
 

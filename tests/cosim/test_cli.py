@@ -282,6 +282,22 @@ def test_a_name_that_is_too_long_is_said_before_the_run(tmp_path, monkeypatch):
     assert "cannot be written: File name too long" in refused("reproduce", "--out", name)
 
 
+def test_a_bad_date_is_said_where_it_is_used_only(tmp_path, monkeypatch):
+    # SciPy, which a genset needs, is in this process already.
+    assert shell("SOURCE_DATE_EPOCH=abc halfshaft show small-car-series > /dev/null") == (0, "")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "abc")
+    done(*RUN, "--out", tmp_path / "run.nc", "--plot", tmp_path / "run.png")
+    for ending in ("svg", "pdf"):
+        text = refused(*RUN, "--plot", tmp_path / f"run.{ending}")
+        assert "SOURCE_DATE_EPOCH = 'abc', must be whole seconds since 1970" in text
+    for bad in ("-1", "1e9", "9" * 18, "9" * 5000):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", bad)
+        assert "must be whole seconds since 1970" in refused(*RUN, "--plot", tmp_path / "run.svg")
+    for good in ("0", "5000000000"):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", good)
+        done(*RUN, "--plot", tmp_path / "run.svg")
+
+
 @SHELL
 def test_what_is_no_file_stays_what_it_is(tmp_path):
     pipe, link, loop = tmp_path / "pipe.nc", tmp_path / "link.nc", tmp_path / "loop.nc"
