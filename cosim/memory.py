@@ -28,7 +28,7 @@ def check_memory(n: float, n_outputs: int, history: bool) -> None:
 
     """
     small = 8 * n * PER_STEP
-    need = small + 8 * n * n_outputs * history
+    need = 8 * n * (PER_STEP + n_outputs) if history else small
     if need < LARGE:
         return
     cure = f"take a longer dt, or history=False, which keeps the sums only and takes {_size(small)}" if history else "take a longer dt"

@@ -181,6 +181,8 @@ def test_a_run_that_does_not_fit_into_the_memory_is_refused_with_the_cure(monkey
         run(CAR, long)
     with pytest.raises(InputError, match=r"1e\+12 steps take .* TiB of memory, there are 4.0 GiB; take a longer dt"):
         run(CAR, long, dt=1e-5, history=False)
+    with pytest.raises(InputError, match="inf steps take inf TiB"):
+        run(CAR, long, dt=1e-310, history=False)
     with pytest.warns(MemoryWarning, match=r"take .* GiB of memory; take a longer dt, or history=False"):
         memory.check_memory(3e6, 100, history=True)
 

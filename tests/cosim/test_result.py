@@ -66,7 +66,7 @@ def test_a_full_disk_leaves_the_old_file(result, tmp_path, monkeypatch):
 
 
 def test_a_missing_folder_is_an_input_error(result, tmp_path):
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="there is no folder"):
         result.save(tmp_path / "nowhere" / "run.nc")
 
 
