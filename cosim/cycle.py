@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from halfshaft.library.errors import InputError, nearest
+from halfshaft.library.errors import InputError, nearest, number
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Grades: TypeAlias = tuple[Array, Array]
@@ -138,6 +138,7 @@ class Cycle:
 
     def sampled(self, dt: float) -> Samples:
         """Return the steps of a run; the last one is shorter where `dt` does not divide the duration."""
+        dt = number(dt)
         if not (math.isfinite(dt) and dt > TIME_STEP):
             raise InputError(f"cycle '{self.name}'", [f"dt = {dt:g} s, must be > {TIME_STEP:g} s"])
         n = math.ceil(self.duration / dt - TIME_STEP)
@@ -156,6 +157,7 @@ class Cycle:
 
     def scaled(self, factor: float) -> Cycle:
         """Return the cycle with all speeds multiplied."""
+        factor = number(factor)
         if not (math.isfinite(factor) and factor >= 0):
             raise InputError(f"cycle '{self.name}'", [f"factor = {factor:g}, must be >= 0"])
         return replace(self, name=f"{self.name}-x{factor:g}", speed=self.speed * factor)

@@ -8,7 +8,7 @@ from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.fmu_build import package
 from halfshaft.fmu_build.code import compiled_tables, step_code
 from halfshaft.fmu_build.variables import SHORTEST_STEP, CycleTable, Version
-from halfshaft.library.errors import InputError
+from halfshaft.library.errors import InputError, number
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle
@@ -54,6 +54,7 @@ def build_driven(step: Step, path: Path, *, fmi: Version, dt: float) -> Path:
 def fmu_problems(fmi: int, cycle: Cycle | None, dt: float) -> list[str]:
     """Return why no FMU can be made, as far as that shows without making it."""
     problems = [] if fmi in (2, 3) else [f"fmi = {fmi}, must be 2 or 3"]
+    dt = number(dt)
     if not SHORTEST_STEP <= dt < float("inf"):
         return [*problems, f"dt = {dt:g} s, must be >= {SHORTEST_STEP:g} s"]
     if cycle is None:

@@ -16,7 +16,7 @@ from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
 from halfshaft.cosim.memory import check_memory
 from halfshaft.cosim.result import Inputs, Result
-from halfshaft.library.errors import InputError, nearest
+from halfshaft.library.errors import InputError, nearest, number
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
@@ -137,10 +137,7 @@ def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> 
     for name, value, known in (("via", via, get_args(Via)), ("mode", mode, MODES)):
         if not (isinstance(value, str) and value in known):
             problems.append(f"{name} = {value!r}, must be one of {', '.join(known)}{nearest(str(value), known)}")
-    try:
-        seconds = float(dt)
-    except (TypeError, ValueError, OverflowError):
-        seconds = np.nan
+    seconds = number(dt)
     if not 0 < seconds < np.inf:
         problems.append(f"dt = {dt} s, must be a number > 0 s")
     if not problems and mode != "hybrid" and via != "step":

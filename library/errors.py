@@ -14,7 +14,9 @@ Each message says what is wrong, where, and what is allowed; where several thing
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
+from typing import Any
 
 
 class HalfshaftError(Exception):
@@ -49,3 +51,11 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``, did you mean 'x'?`` for the known name nearest to `name`, or nothing."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f", did you mean '{close[0]}'?" if close else ""
+
+
+def number(given: Any) -> float:
+    """Return what was given for a number as one; NaN, which no bound lets pass, where it is none."""
+    try:
+        return float(given)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan

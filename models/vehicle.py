@@ -15,6 +15,8 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeAlias, cast
 
+import numpy as np
+
 from halfshaft.library.component import Component
 from halfshaft.library.engine import EngineParameters
 from halfshaft.library.errors import InputError, nearest
@@ -150,7 +152,8 @@ class Vehicle:
     def with_values(self, values: Mapping[str, float | str]) -> Vehicle:
         """Return the vehicle with numbers set: SI numbers, or texts with a unit; the rules follow."""
         reader = Reader()
-        given = _numbers(reader, self.parts, values, "", plain=True)
+        plain = {name: x.item() if isinstance(x, np.generic) else x for name, x in values.items()}
+        given = _numbers(reader, self.parts, plain, "", plain=True)
         reader.finish(f"vehicle '{self.name}'")
         return replace(self, given={**self.given, **given})
 

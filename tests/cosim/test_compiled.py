@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from halfshaft import Cycle, InputError, Vehicle, run
+from halfshaft import Cycle, InputError, Vehicle, build_fmu, run
 from halfshaft.cosim import memory
 from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.cosim.cycle import Samples
@@ -167,6 +167,21 @@ def test_arguments_of_a_run_are_checked_together(arguments, messages):
 @pytest.mark.parametrize("dt", [np.float32(0.5), np.float64(0.5), np.array(0.5), "0.5"])
 def test_a_step_may_be_any_number(dt):
     assert run(CAR, Cycle.load("im240"), dt=dt).inputs.dt == 0.5
+
+
+def test_numbers_that_are_none_are_refused_wherever_they_are_given(tmp_path):
+    cycle = Cycle.load("im240")
+    for call in (
+        lambda: cycle.scaled([2]),
+        lambda: cycle.sampled("fast"),
+        lambda: build_fmu(CAR, tmp_path / "car.fmu", fmi=3, dt=[1.0]),
+        lambda: CAR.with_values({"body.m": [1200.0]}),
+    ):
+        with pytest.raises(InputError, match="must be"):
+            call()
+    assert cycle.scaled(np.float32(2)).speed.max() == 2 * cycle.speed.max()
+    for kind in (np.float32, np.int16):
+        assert CAR.with_values({"body.m": kind(1200)}).values["body.m"] == 1200
 
 
 def test_a_run_that_does_not_fit_into_the_memory_is_refused_with_the_cure(monkeypatch):
