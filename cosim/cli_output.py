@@ -44,34 +44,33 @@ class Commands(TyperGroup):
         if sys.stderr is None:
             sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
         stdout = sys.stdout
+        for stream in (stdout, sys.stderr):
+            # Names of files need not be text.
+            if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+                stream.reconfigure(errors="replace")
+        code: Any = 2
+        said = ""
         try:
-            if stdout is None:
-                raise OSError(errno.EBADF, "it is closed")
-            for stream in (stdout, sys.stderr):
-                # Names of files need not be text.
-                if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
-                    stream.reconfigure(errors="replace")
-            try:
+            if stdout is not None:
                 super().main(*args, **extra)
-            finally:
-                # What is left in the buffer is written now, where it may still fail.
-                sys.stdout.flush()
-        except OSError as error:
-            _give_up(stdout)
-            if error.errno == errno.EPIPE:
-                sys.exit(NOBODY_READS)
-            what = error.filename or "standard output"
-            with suppress(OSError):
-                typer.secho(f"error: {what}: cannot be written: {error.strerror}", fg="red", err=True)
-            sys.exit(2)
         except SystemExit as end:
-            if end.code == 1:
-                # What typer and rich make of a pipe that was closed while they wrote; nothing else ends so.
-                _give_up(stdout)
-                sys.exit(NOBODY_READS)
-            if end.code == INTERRUPTED:
-                typer.secho("interrupted", err=True)
-            raise
+            code = end.code
+        except OSError as error:
+            said = f"error: {error if error.filename else f'standard output or a temporary file: {error.strerror or error}'}"
+        failed = _unwritten(stdout)
+        if failed:
+            code, said = 2, f"error: standard output: {failed.strerror}"
+        if code == 1 or (failed and failed.errno == errno.EPIPE):
+            # Typer and rich end with 1 where a pipe was closed while they wrote to it; nothing else ends so.
+            code, said = NOBODY_READS, ""
+        if failed or code == NOBODY_READS:
+            _give_up(stdout)
+        if code == INTERRUPTED:
+            said = "interrupted"
+        with suppress(OSError):
+            if said:
+                typer.secho(said, fg="red", err=True)
+        sys.exit(code)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
@@ -94,6 +93,17 @@ class Commands(TyperGroup):
             except (HalfshaftError, MemoryError) as error:
                 typer.secho(f"error: {error}", fg="red", err=True)
                 raise typer.Exit(2) from None
+
+
+def _unwritten(stdout: Any) -> OSError | None:
+    """Write what is left in the buffer, here where it may still fail; return why it does."""
+    if stdout is None:
+        return OSError(errno.EBADF, "it is closed")
+    try:
+        stdout.flush()
+    except OSError as error:
+        return error
+    return None
 
 
 def _give_up(stdout: Any) -> None:

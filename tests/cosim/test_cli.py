@@ -244,9 +244,10 @@ def shell(text):
 @pytest.mark.parametrize(
     ("text", "code", "said"),
     [
-        ("halfshaft list cycles > /dev/full", 2, "error: standard output: cannot be written: No space left on device\n"),
-        ("halfshaft --help > /dev/full", 2, "error: standard output: cannot be written: No space left on device\n"),
-        ("halfshaft show us06 >&-", 2, "error: standard output: cannot be written: it is closed\n"),
+        ("halfshaft list cycles > /dev/full", 2, "error: standard output or a temporary file: No space left on device\n"),
+        ("halfshaft --help > /dev/full", 2, "error: standard output or a temporary file: No space left on device\n"),
+        ("halfshaft --version > /dev/full", 2, "error: standard output: No space left on device\n"),
+        ("halfshaft show us06 >&-", 2, "error: standard output: it is closed\n"),
         ("halfshaft show us06 2>&- >&-", 2, ""),
         ("halfshaft show us6 2>/dev/full", 2, ""),
         ("halfshaft list cycles | true; exit ${PIPESTATUS[0]}", 141, ""),
@@ -258,6 +259,14 @@ def test_an_output_that_cannot_be_written_is_an_error_or_the_end(text, code, sai
     found, stderr = shell(text)
     assert (found, stderr[: len(said)]) == (code, said)
     assert len(stderr.splitlines()) <= 1
+
+
+def test_another_failure_of_the_system_is_one_message_too(monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("halfshaft.cosim.by_fmu.march_fmu", full)
+    assert refused(*RUN, "--via", "fmu3") == "error: standard output or a temporary file: No space left on device\n"
 
 
 @SHELL
