@@ -246,7 +246,7 @@ def shell(text):
     [
         ("halfshaft list cycles > /dev/full", 2, "error: standard output or a temporary file: No space left on device\n"),
         ("halfshaft --help > /dev/full", 2, "error: standard output or a temporary file: No space left on device\n"),
-        ("halfshaft --version > /dev/full", 2, "error: standard output: No space left on device\n"),
+        ("halfshaft --version > /dev/full", 2, "error: standard output or a temporary file: No space left on device\n"),
         ("halfshaft show us06 >&-", 2, "error: standard output: it is closed\n"),
         ("halfshaft show us06 2>&- >&-", 2, ""),
         ("halfshaft show us6 2>/dev/full", 2, ""),
