@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from halfshaft import __version__
+from halfshaft.cosim.audit import Audit, Auditor
 from halfshaft.cosim.compiled import Array, InterpretedStep, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
@@ -43,6 +44,19 @@ class Build:
 @lru_cache(maxsize=64)
 def _stepper(build: Build) -> Stepper:
     return stepper(model_of(build.vehicle), build.vehicle.title)
+
+
+@lru_cache(maxsize=64)
+def _auditor(build: Build) -> Auditor:
+    return Auditor(model_of(build.vehicle), _stepper(build).step)
+
+
+def audit_of(vehicle: Vehicle, samples: Samples, rows: Array) -> Audit:
+    """Return the audit of a run of the vehicle's step."""
+    build = Build(vehicle)
+    stepper = _stepper(build)
+    parameters = parameters_of(vehicle, stepper.step, samples.v_start)
+    return _auditor(build)(samples, rows, stepper.first(parameters), parameters)
 
 
 @lru_cache(maxsize=8)
@@ -101,7 +115,8 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         step, samples = stepper_of(vehicle).step, cycle.sampled(dt)
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, cycle, samples), made)
+        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, cycle, samples), made)
+        return replace(result, audited=partial(audit_of, vehicle, samples, rows))
     compiled = stepper_of(vehicle)
     if isinstance(compiled, InterpretedStep):
         inputs = replace(inputs, compiled=False)
@@ -112,7 +127,10 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     highest = dict(zip(names, march.highest.tolist(), strict=True))
     last = {d.name: float(march.state[d.state]) for d in compiled.step.outputs if d.state is not None}
     rows = np.empty((0, len(names))) if march.history is None else march.history
-    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, cycle, samples), last, made)
+    return Result(
+        inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, cycle, samples), last, made,
+        partial(audit_of, vehicle, samples, rows),
+    )  # fmt: skip
 
 
 def _first(vehicle: Vehicle, cycle: Cycle, samples: Samples) -> dict[str, float]:
