@@ -104,7 +104,7 @@ def in_line(result: Result) -> str:
     """Return a run in one line."""
     kept = {name: "" for name in ("distance", "economy", "economy, fuel alone", "consumption")}
     kept |= {"with battery as fuel": "with battery as fuel ", "state of charge": "charge "}
-    said = [kept[name] + value for name, value in facts(result) if name in kept]
+    said = [kept[name] + value for name, value in facts(result) if name in kept and value != "-"]
     n = len(result.warnings)
     said += [f"{n} warning{'s' * (n > 1)}"] if n else []
     return f"{result.inputs.vehicle} over {result.inputs.cycle}: {', '.join(said)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
@@ -113,6 +113,25 @@ class Made:
             versions={"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
             ratings=self.ratings,
         )
+
+
+class Hashes(Mapping[str, str]):
+    """Hashes of the cycle and of all parts by role, worked out when asked for."""
+
+    def __init__(self, made: Made) -> None:
+        self._made = made
+
+    def __getitem__(self, name: str) -> str:
+        """Return one hash."""
+        return (self._made.origin.cycle if name == "cycle" else self._made.origin.parts[name]).sha256
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield ``cycle`` and the roles."""
+        return iter(("cycle", *self._made.vehicle.parts))
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return 1 + len(self._made.vehicle.parts)
 
 
 @lru_cache(maxsize=256)

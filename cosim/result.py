@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,8 @@ class Inputs:
     parameters: Mapping[str, float]
     #: Whether the step ran as machine code.
     compiled: bool = True
+    #: Hashes of the cycle and of the parts by role; empty for files of version 0.1.
+    hashes: Mapping[str, str] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ class Result:
         return {
             "format": FORMAT,
             "origin": self.origin and self.origin.plain(),
-            "inputs": asdict(self.inputs),
+            "inputs": {**self.inputs.__dict__, "parameters": dict(self.inputs.parameters), "hashes": dict(self.inputs.hashes)},
             "outputs": [list(d) for d in self.outputs],
             "energies": dict(self.energies), "highest": dict(self.highest), "first": dict(self.first), "last": dict(self.last),
         }  # fmt: skip

@@ -15,7 +15,7 @@ from halfshaft.cosim.audit import Audit, Auditor
 from halfshaft.cosim.compiled import Array, InterpretedStep, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
-from halfshaft.cosim.origin import Made
+from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.library.errors import InputError
 from halfshaft.models.assembly import Description, Step
@@ -105,8 +105,10 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         problems.append(f"mode {mode} runs via step only, not via {via}")
     if problems:
         raise InputError("run", problems)
-    inputs = Inputs(vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values))
     made = Made(vehicle, cycle, time.time())
+    inputs = Inputs(
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made)
+    )  # fmt: skip
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs, made)
     if via in ("fmu2", "fmu3"):
