@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from halfshaft import __version__
 from halfshaft.cosim.audit import Audit, Auditor
-from halfshaft.cosim.compiled import MODES, Array, Mode, Stepper, integrals, stepper
+from halfshaft.cosim.compiled import MODES, Array, InterpretedStep, Mode, Stepper, integrals, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
 from halfshaft.cosim.memory import check_memory
+from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.library.errors import InputError, nearest, number
 from halfshaft.models.assembly import Description, Step
@@ -101,9 +103,12 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
 
     """
     dt = _checked(vehicle, cycle, via, dt, mode)
-    inputs = Inputs(vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values))
+    made = Made(vehicle, cycle, time.time())
+    inputs = Inputs(
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made)
+    )  # fmt: skip
     if via == "forward":
-        return _run_forward(vehicle, cycle, inputs)
+        return _run_forward(vehicle, cycle, inputs, made)
     if via in ("fmu2", "fmu3"):
         from halfshaft.cosim.by_fmu import march_fmu
 
@@ -111,9 +116,11 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         samples = _sampled(cycle, dt, len(step.outputs))
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, samples))
-        return replace(result, audited=lambda: audit_of(vehicle, samples, rows))
+        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, cycle, samples), made)
+        return replace(result, audited=partial(audit_of, vehicle, samples, rows))
     compiled = stepper_of(vehicle)
+    if isinstance(compiled, InterpretedStep):
+        inputs = replace(inputs, compiled=False)
     samples = _sampled(cycle, dt, len(compiled.step.outputs), history)
     march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
     names = [d.name for d in compiled.step.outputs]
@@ -122,8 +129,8 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     last = {d.name: float(march.state[d.state]) for d in compiled.step.outputs if d.state is not None}
     rows = np.empty((0, len(names))) if march.history is None else march.history
     return Result(
-        inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, samples), last,
-        lambda: audit_of(vehicle, samples, rows),
+        inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, cycle, samples), last, made,
+        partial(audit_of, vehicle, samples, rows),
     )  # fmt: skip
 
 
@@ -152,8 +159,8 @@ def _sampled(cycle: Cycle, dt: float, n_outputs: int, history: bool = True) -> S
     return cycle.sampled(dt)
 
 
-def _first(vehicle: Vehicle, samples: Samples) -> dict[str, float]:
-    first = {"body.v": samples.v_start}
+def _first(vehicle: Vehicle, cycle: Cycle, samples: Samples) -> dict[str, float]:
+    first = {"time": float(cycle.time[0]), "body.v": samples.v_start}
     if "battery.soc_start" in vehicle.values:
         first["battery.soc"] = vehicle.values["battery.soc_start"]
     return first
@@ -171,14 +178,21 @@ def _result(
     rows: Array,
     energies: Mapping[str, float],
     first: Mapping[str, float],
+    made: Made,
 ) -> Result:
     names = [d.name for d in outputs]
     highest = dict(zip(names, rows.max(axis=0).tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0)
     last = dict(zip(names, rows[-1].tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0) | dict(first)
-    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last)
+    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last, made)
 
 
-def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver = Driver()) -> Result:  # noqa: B008
+def _run_forward(
+    vehicle: Vehicle,
+    cycle: Cycle,
+    inputs: Inputs,
+    made: Made,
+    driver: Driver = Driver(),  # noqa: B008
+) -> Result:
     forward = _forward(Build(vehicle))
     samples = _sampled(cycle, driver.dt, len(forward.plant.shown))
     parameters = parameters_of(vehicle, forward.stepper.step, samples.v_start)
@@ -193,4 +207,4 @@ def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver 
     # Powers are integrated by IDAS; of all else the sum over the samples must do.
     names = [d.name for d in outputs]
     energies = dict(zip(names, integrals(forward.plant.name, names, samples, rows).tolist(), strict=True)) | done.energies
-    return _result(inputs, outputs, samples, rows, energies, _first(vehicle, samples))
+    return _result(inputs, outputs, samples, rows, energies, _first(vehicle, cycle, samples), made)
