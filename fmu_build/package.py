@@ -129,7 +129,5 @@ def _documentation(step: Step, cycle: CycleTable | None, step_size: float) -> st
     else:
         body = _DRIVEN.format(step_size=step_size)
     head = f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title></head><body>\n'
-    tail = (
-        "<p>All values are in SI units. <code>sources</code> holds the complete C99; the headers of the standard state their licence.</p>"
-    )
+    tail = "<p>All values are in SI units. <code>sources</code> holds the complete C; the headers of the standard state their licence.</p>"
     return f"{head}<h1>{title}</h1>\n{body}{tail}\n</body></html>\n"

@@ -77,7 +77,7 @@ def test_vehicles_are_told_apart(fmi, tmp_path):
 
 def test_step_size_is_called_fixed_only_where_it_is(fmi, driven, self_contained):
     sizes = [fmpy.read_model_description(str(path)).coSimulation.fixedInternalStepSize for path in (driven, self_contained)]
-    assert sizes == [None, None if fmi == 2 else 1.0]
+    assert sizes == [None, None if fmi == 2 else "1.0"]
 
 
 def test_outputs_depend_on_no_input_and_start_values_on_their_parameters(fmi, driven, self_contained, tmp_path):
