@@ -87,5 +87,5 @@ def test_what_an_fmu_says_is_in_the_error(fmi):
     with pytest.raises(SolveError, match=r"step from t = 3 s.*v_request .*finite number"):
         march_fmu(step, samples, parameters, 1.0, fmi)
     parameters[0] = -1.0
-    with pytest.raises(SolveError, match=r"initialization.*body\.m = -1 kg, must be > 0 kg"):
+    with pytest.raises(SolveError, match=r"initialization.*body\.m = -1 kg, must be >"):
         march_fmu(step, samples, parameters, 1.0, fmi)
