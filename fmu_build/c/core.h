@@ -317,9 +317,11 @@ static Status do_step(Instance *c, double t, double h, const char *function) {
     report(c, "a step from %.15g s by %.15g s is not possible: it goes past the stop time, %.15g s", t, h, m->stop_time);
     return ERROR;
   }
-  while ((double)m->steps < due) {
-    double next[HS_NX], y[HS_NY], u[HS_NU] = {0};
-    double end = m->start_time + (double)(m->steps + 1) * length;
+  double y[HS_NY], end = now;
+  int lost = 0, stepped = 0;
+  while (!lost && (double)m->steps < due) {
+    double next[HS_NX], u[HS_NU] = {0};
+    end = m->start_time + (double)(m->steps + 1) * length;
 #if HS_DRIVEN
     for (int i = REQUEST; i <= KEY_ON; ++i) u[i - REQUEST] = input(m, i, end, t, h);
 #else
@@ -327,16 +329,21 @@ static Status do_step(Instance *c, double t, double h, const char *function) {
     memcpy(u, m->value + REQUEST, 3 * sizeof *u);
 #endif
     u[3] = length;
-    const int lost = hs_step(m->x, u, m->value + PARAMETERS, next, y), bad = first_lost(y, HS_NY);
+    lost = hs_step(m->x, u, m->value + PARAMETERS, next, y);
+    memcpy(m->x, next, sizeof next);
+    ++m->steps;
+    stepped = 1;
+  }
+  if (stepped) {
+    /* Only what will be seen has to be finite. */
+    const int bad = first_lost(y, HS_NY);
     if (lost || bad >= 0) {
       report(c, "%s is not a number after the internal step that ends at %.15g s; check inputs and parameters",
              bad >= 0 ? hs_variables[OUTPUTS + bad].name : "a result", end);
       m->mode = FAILED;
       return ERROR;
     }
-    memcpy(m->x, next, sizeof next);
     memcpy(m->value + OUTPUTS, y, sizeof y);
-    ++m->steps;
   }
 #if HS_DRIVEN
   m->request = input(m, REQUEST, t + h, t, h);

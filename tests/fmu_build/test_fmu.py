@@ -396,10 +396,10 @@ def test_the_last_successful_time_is_that_of_the_last_good_step(driven, client, 
     assert last(0.0, 2.5) == 2.5
     assert last(2.5, -1.0) == 2.5
     c.set("grade", 1.7e308)
-    # The outputs of the first of three internal steps are lost.
+    # The outputs of three internal steps are lost; the last are those that would be seen.
     assert last(2.5, 3.0) == 2.5
     assert c.get("time") == [2.5]
-    assert "is not a number after the internal step that ends at 3 s" in c.log[-1][1]
+    assert "is not a number after the internal step that ends at 5 s" in c.log[-1][1]
 
 
 def test_relations_between_parameters_are_checked_when_the_initialization_ends(driven, client):

@@ -5,6 +5,7 @@ import sys
 import zipfile
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import casadi as ca
 import fmpy
@@ -60,6 +61,7 @@ def test_experiment(kit, fmi, driven, self_contained, tmp_path):
     longest = max(Cycle.load(name).duration for name in cycle_names())
     car = build_vehicle(Vehicle.load("small-car-electric"), tmp_path / "car.fmu", fmi=fmi)
     assert [float(x) for x in experiment(car)] == [0.0, longest, 1.0]
+    assert f"by default tools simulate {longest:g} s" in (Path(__file__).parents[2] / "docs" / "fmu.md").read_text()
 
 
 def test_vehicles_are_told_apart(fmi, tmp_path):
