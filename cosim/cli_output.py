@@ -203,7 +203,7 @@ def print_run_json(result: Result) -> None:
         "speed_limit_J": a.speed_limit,
         "residual_J": a.residual,
     }
-    print_json({**result.summary, "account": account})
+    print_json({**result.summary, "account": account, "audit": _failures(result)})
 
 
 def print_run(result: Result, units: Units = "metric") -> None:
@@ -220,8 +220,13 @@ def print_run(result: Result, units: Units = "metric") -> None:
         grid.add_row(f"[dim]{name}[/]", value, f"[dim]{other}[/]", also)
     out.print(Padding(grid, (1, 0, 0, 2), expand=False), highlight=False)
     out.print(_account_table(result))
-    for text in remarks(result, units):
+    for text in (*remarks(result, units), *_failures(result)):
         print_line(f"  ! {text}", "yellow")
+
+
+def _failures(result: Result) -> list[str]:
+    """Return what the audit of a run found, where it can be audited."""
+    return list(result.audit.failures) if result.auditable else []
 
 
 def _account_table(result: Result) -> Table:

@@ -16,7 +16,7 @@ from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
 from halfshaft.cosim.result import Result
 from halfshaft.library.errors import InputError
-from halfshaft.library.writing import date_problem, written_whole
+from halfshaft.library.writing import source_date, written_whole
 
 #: Formats by the ending of the file.
 FORMATS = ("png", "svg", "pdf")
@@ -72,8 +72,12 @@ def plot_run(result: Result, path: str | Path) -> Path:
 def plot_problems(path: Path) -> list[str]:
     """Return what is wrong with the name of a file to draw into."""
     if path.suffix.lower().removeprefix(".") in FORMATS:
-        # Of these, a PNG holds no date.
-        return [problem] if path.suffix.lower() != ".png" and (problem := date_problem()) else []
+        try:
+            if path.suffix.lower() != ".png":  # which holds no date
+                source_date()
+        except InputError as error:
+            return [str(error)]
+        return []
     return [f"a plot is written as {', '.join(f'.{f}' for f in FORMATS)}, not as '{path.suffix}'"]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -85,8 +85,6 @@ class Result:
     first: Mapping[str, float]
     last: Mapping[str, float]
     made: Made | Origin | None = field(default=None, repr=False, compare=False)
-    #: Makes the audit; a run that was loaded, or is forward-facing, has none.
-    audited: Callable[[], Audit] | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, name: str) -> Array:
         """Return one time series, shape ``(n,)``.
@@ -141,6 +139,11 @@ class Result:
         """The energy account."""
         return account(self.outputs, self.energies)
 
+    @property
+    def auditable(self) -> bool:
+        """Whether the run can be audited: a run of the step that kept its history and was not loaded from a file."""
+        return isinstance(self.made, Made) and self.inputs.via != "forward" and len(self.history) > 0
+
     @cached_property
     def audit(self) -> Audit:
         """The audit: every part held against its own laws; takes some ten milliseconds when first asked for.
@@ -151,9 +154,11 @@ class Result:
             If the run kept no history, is forward-facing, or was loaded from a file.
 
         """
-        if self.audited is None or not len(self.history):
+        from halfshaft.cosim.simulate import audit_of  # which makes results
+
+        if not isinstance(self.made, Made) or not self.auditable:
             raise InputError("audit", ["only a run of the step that kept its history can be audited, right after it was made"])
-        return self.audited()
+        return audit_of(self.made.vehicle, self.made.cycle.sampled(self.inputs.dt), self.history)
 
     @cached_property
     def dataset(self) -> xr.Dataset:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -116,8 +116,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         samples = _sampled(cycle, dt, len(step.outputs))
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, cycle, samples), made)
-        return replace(result, audited=partial(audit_of, vehicle, samples, rows))
+        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, cycle, samples), made)
     compiled = stepper_of(vehicle)
     if isinstance(compiled, InterpretedStep):
         inputs = replace(inputs, compiled=False)
@@ -128,10 +127,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     highest = dict(zip(names, march.highest.tolist(), strict=True))
     last = {d.name: float(march.state[d.state]) for d in compiled.step.outputs if d.state is not None}
     rows = np.empty((0, len(names))) if march.history is None else march.history
-    return Result(
-        inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, cycle, samples), last, made,
-        partial(audit_of, vehicle, samples, rows),
-    )  # fmt: skip
+    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, cycle, samples), last, made)
 
 
 def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -36,16 +37,25 @@ def target_problem(path: Path) -> str:
     return ""
 
 
-def date_problem() -> str:
-    """Return what is wrong with the date that ``SOURCE_DATE_EPOCH`` sets for what is written; empty if nothing is."""
+def source_date() -> datetime | None:
+    """Return the date that ``SOURCE_DATE_EPOCH`` sets for what is written, or None if it sets none.
+
+    Raises
+    ------
+    InputError
+        If the variable holds no time.
+
+    """
     given = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if not given:
+        return None
     try:
-        if given and not (given.isdecimal() and len(given) < 20):
+        if not re.fullmatch("[0-9]+", given):
             raise ValueError
-        datetime.fromtimestamp(int(given or 0), UTC)
+        return datetime.fromtimestamp(int(given), UTC)
     except (ValueError, OverflowError, OSError):
-        return f"the environment variable SOURCE_DATE_EPOCH = {given[:40]!r}, must be whole seconds since 1970"
-    return ""
+        problem = f'SOURCE_DATE_EPOCH = "{ascii(given[:40])[1:-1]}", must be whole seconds since 1970'
+        raise InputError("environment", [problem]) from None
 
 
 @contextmanager

@@ -307,7 +307,7 @@ def test_a_bad_date_is_said_where_it_is_used_only(tmp_path, monkeypatch):
     done(*RUN, "--out", tmp_path / "run.nc", "--plot", tmp_path / "run.png")
     for ending in ("svg", "pdf"):
         text = refused(*RUN, "--plot", tmp_path / f"run.{ending}")
-        assert "SOURCE_DATE_EPOCH = 'abc', must be whole seconds since 1970" in text
+        assert 'SOURCE_DATE_EPOCH = "abc", must be whole seconds since 1970' in text
     for bad in ("-1", "1e9", "9" * 18, "9" * 5000):
         monkeypatch.setenv("SOURCE_DATE_EPOCH", bad)
         assert "must be whole seconds since 1970" in refused(*RUN, "--plot", tmp_path / "run.svg")
