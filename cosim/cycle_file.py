@@ -109,8 +109,13 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
         If anything is wrong with the file; every bad line is named, up to a limit.
 
     """
-    lines = read_text(path, LARGEST).splitlines()
-    notes = {m[1]: cleaned(m[2]) for line in lines if line.startswith("#") and (m := re.match(r"#\s*(name|title|source):(.*)", line))}
+    # Not by `splitlines`, which also breaks at control characters.
+    lines = read_text(path, LARGEST).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    notes = {
+        m[1]: m[2].strip() if m[1] == "name" else cleaned(m[2])
+        for line in lines
+        if line.startswith("#") and (m := re.match(r"#\s*(name|title|source):(.*)", line))
+    }
     start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith(("#", "sep="))), None)
     if start is None:
         raise InputError(str(path), ["is empty"])
