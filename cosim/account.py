@@ -4,7 +4,8 @@ All energies are integrals of powers that the run computed, with the same step v
 
     fuel + battery = losses + kinetic + potential + speed mismatch + inertia discretisation + speed limit and standstill
 
-The last three are lines of the discrete method, each computed from its own definition.  *Speed mismatch*: after a limit
+The account closes by construction, so it proves that nothing is forgotten, not that a law is right; that is for the audit
+(`halfshaft.cosim.audit`).  The last three are lines of the discrete method.  *Speed mismatch*: after a limit
 acted, powers upstream are taken at the required speed, the achieved one is lower.  *Inertia discretisation*: work on
 rotors by difference quotients less their change of kinetic energy.  *Speed limit and standstill*: driving power that is
 not used because a part turns no faster, or because the vehicle stands.  A forward-facing run closes without them.
@@ -41,6 +42,15 @@ class Account:
     speed_mismatch: float
     inertia_discretisation: float
     speed_limit: float
+
+    def __repr__(self) -> str:
+        fuel, battery, lost = (x / 3600 for x in (self.fuel, self.battery, sum(self.losses.values())))
+        return f"<Account in Wh: fuel {fuel:.1f}, battery {battery:.1f}, lost {lost:.1f}, balance {self.residual / 3600:.0e}>"
+
+    def _repr_html_(self) -> str:
+        from halfshaft.cosim.facts import energy_table
+
+        return energy_table(self)
 
     @property
     def residual(self) -> float:
