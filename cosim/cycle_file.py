@@ -124,8 +124,9 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
     columns, width = _columns(path, head.split(separator), start + 1, known)
     body = lines[start + 1 :]
     values = _quickly(body, separator, columns, width)
-    found = {} if values is None else {c.name: values[:, k] * c.factor for k, c in enumerate(columns)}
-    if not found or np.any(np.diff(found[axis]) <= 0) or not all(_holds(known[name], x) for name, x in found.items()):
+    with np.errstate(over="ignore"):
+        found = {} if values is None else {c.name: values[:, k] * c.factor for k, c in enumerate(columns)}
+    if not found or not all(_holds(known[name], x) for name, x in found.items()) or np.any(np.diff(found[axis]) <= 0):
         raise InputError(str(path), _wrong(body, start + 2, separator, columns, width, known, axis))
     return notes, found
 

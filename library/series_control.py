@@ -32,8 +32,8 @@ from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr
 from halfshaft.library.tables import Axis, Table
 
-#: Speeds that a genset's locus chooses from, at most, and the least efficiency that it reckons with.
-MOST_SPEEDS, LOWEST_EFFICIENCY = 20_000, 1e-3
+#: Of a genset's locus: speeds to choose from and power, at most, and the least efficiency that it reckons with [1, W, 1].
+MOST_SPEEDS, MOST_POWER, LOWEST_EFFICIENCY = 20_000, 1e12, 1e-3
 #: One-second parts of the five-second average.
 PARTS = 5
 
@@ -163,6 +163,7 @@ class SeriesControl(Component):
         }
 
 
+@np.errstate(all="ignore")
 def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: int = 11) -> Table:
     """Return the genset speed of least fuel over engine power, for engine scales of 1.
 
@@ -183,7 +184,7 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
     turning, driving = omega_engine > 0, tau_engine > 0
     omega_engine, tau_engine, fuel = omega_engine[turning], tau_engine[driving], engine.fuel.values[turning][:, driving]
     power = engine.tau_max.points[0] * engine.tau_max.values
-    if not len(omega_engine) or not len(tau_engine) or power.max() <= omega_engine[0] * tau_engine[0]:
+    if not len(omega_engine) or not len(tau_engine) or not omega_engine[0] * tau_engine[0] < power.max() < MOST_POWER:
         raise InputError("genset_locus", ["the engine's maps hold no range of power"])
     low, high = max(omega_engine[0], omega_generator[0]), min(omega_engine[-1], omega_generator[-1])
     speeds = np.arange(np.ceil(low), np.floor(min(high, low + MOST_SPEEDS)) + 1)

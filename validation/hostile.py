@@ -19,7 +19,8 @@ import numpy as np
 from halfshaft.cosim.account import account
 from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.cosim.cycle import Cycle
-from halfshaft.cosim.result import OPEN_BALANCE, Result
+from halfshaft.cosim.remarks import OPEN_BALANCE
+from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Build, parameters_of, run
 from halfshaft.library.errors import HalfshaftError
 from halfshaft.library.files import component_names, read_component
