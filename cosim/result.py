@@ -257,19 +257,22 @@ class Result:
             If the file is missing or not a result.
 
         """
+        import h5py
+
         with open_regular(path) as file:
             try:
-                with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+                with h5py.File(file) as data:
                     plain = json.loads(data.attrs["result"])
                     written = plain.get("format", 1)
                     if written > FORMAT:
                         raise InputError(str(path), [f"is a result of format {written}, this version reads up to {FORMAT}"])
                     outputs = tuple(Description(*d) for d in plain["outputs"])
-                    history = np.stack([data[d.name].to_numpy() for d in outputs], axis=1).astype(float)
-                    time = data["time"].to_numpy().astype(float)
+                    history = np.stack([data[d.name][()] for d in outputs], axis=1).astype(float)
+                    time = data["time"][()].astype(float)
                 origin = Origin.of_plain(plain["origin"]) if plain.get("origin") else None
                 inputs = Inputs(**{**plain["inputs"], "notes": tuple(plain["inputs"].get("notes", ()))})
-                result = cls(inputs, time, outputs, history, *(plain[x] for x in ("energies", "highest", "first", "last")), origin)
+                energies, highest, first, last = (plain[x] for x in ("energies", "highest", "first", "last"))
+                result = cls(inputs, time, outputs, history, energies, highest, first, last, origin)
                 # Nothing is missing from what the summary can be made of.
                 _ = result.summary
             except InputError:
