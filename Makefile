@@ -28,8 +28,8 @@ lint: .venv/.installed-dev  ## check style, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p halfshaft
 
-validate: .venv/.installed-dev  ## run the slow checks against the forward-facing model
-	$(BIN)/python -m pytest -n 2 validation/test_forward.py
+validate: .venv/.installed-dev  ## run the slow checks: against the forward-facing model, and of broken files
+	$(BIN)/python -m pytest -n 2 validation
 
 bench: .venv/.installed-bench  ## time the step and compare it with FASTSim
 	$(BIN)/halfshaft bench

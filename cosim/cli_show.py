@@ -16,9 +16,10 @@ from halfshaft.cosim.cli_output import console, new_table
 from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.library.catalog import KINDS
 from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.files import ComponentFile, component_names, read_component
+from halfshaft.library.files import LARGEST, ComponentFile, component_names, read_component
 from halfshaft.library.parameters import numbers, spec_of, tables
 from halfshaft.library.tables import Table as Map
+from halfshaft.library.texts import read_text
 from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
 
 #: What the library has.
@@ -85,8 +86,8 @@ def _find(name: str) -> Vehicle | Cycle | ComponentFile:
 
 def _is_component(path: Path) -> bool:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")).get("kind") in KINDS
-    except (OSError, ValueError):
+        return tomllib.loads(read_text(path, LARGEST)).get("kind") in KINDS
+    except (InputError, ValueError, RecursionError, TypeError):
         return False  # the reader of vehicles says what is wrong
 
 

@@ -20,6 +20,7 @@ from halfshaft.cosim.origin import Made, Origin, Ratings
 from halfshaft.cosim.remarks import remarks
 from halfshaft.cosim.units import mpg, mpge
 from halfshaft.library.errors import InputError, nearest
+from halfshaft.library.texts import open_regular
 from halfshaft.library.writing import written_whole
 from halfshaft.models.assembly import Description
 
@@ -49,6 +50,8 @@ class Inputs:
     compiled: bool = True
     #: Hashes of the cycle and of the parts by role; empty for files of version 0.1.
     hashes: Mapping[str, str] = field(default_factory=dict, repr=False)
+    #: What is doubtful about the vehicle and the cycle.
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -218,7 +221,7 @@ class Result:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know about this run."""
-        return remarks(self)
+        return (*remarks(self), *self.inputs.notes)
 
     def _plain(self) -> dict[str, Any]:
         return {
@@ -254,20 +257,30 @@ class Result:
             If the file is missing or not a result.
 
         """
-        try:
-            with xr.open_dataset(path, engine="h5netcdf") as data:
-                plain = json.loads(data.attrs["result"])
-                written = plain.get("format", 1)
-                if written > FORMAT:
-                    raise InputError(str(path), [f"is a result of format {written}, this version reads up to {FORMAT}"])
-                outputs = tuple(Description(*d) for d in plain["outputs"])
-                history = np.stack([data[d.name].to_numpy() for d in outputs], axis=1)
-                time = data["time"].to_numpy()
+        import h5py
+
+        with open_regular(path) as file:
+            try:
+                with h5py.File(file) as data:
+                    plain = json.loads(data.attrs["result"])
+                    written = plain.get("format", 1)
+                    if written > FORMAT:
+                        raise InputError(str(path), [f"is a result of format {written}, this version reads up to {FORMAT}"])
+                    outputs = tuple(Description(*d) for d in plain["outputs"])
+                    history = np.stack([data[d.name][()] for d in outputs], axis=1).astype(float)
+                    time = data["time"][()].astype(float)
                 origin = Origin.of_plain(plain["origin"]) if plain.get("origin") else None
-                inputs = Inputs(**plain["inputs"])
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(str(path), [f"is not a result of halfshaft: {error}"]) from error
-        return cls(inputs, time, outputs, history, plain["energies"], plain["highest"], plain["first"], plain["last"], origin)
+                inputs = Inputs(**{**plain["inputs"], "notes": tuple(plain["inputs"].get("notes", ()))})
+                energies, highest, first, last = (plain[x] for x in ("energies", "highest", "first", "last"))
+                result = cls(inputs, time, outputs, history, energies, highest, first, last, origin)
+                # Nothing is missing from what the summary can be made of.
+                _ = result.summary
+            except InputError:
+                raise
+            # What HDF5 and a changed text raise has no common base.
+            except Exception as error:
+                raise InputError(str(path), [f"is not a result of halfshaft: {type(error).__name__}: {error}"]) from error
+        return result
 
 
 def _attributes(d: Description) -> dict[str, Any]:

@@ -22,6 +22,9 @@ from typing import Any
 #: Likeness from which a name may have been meant.
 CLOSE = 0.6
 
+#: A message about one thing is cut to so many characters.
+LONGEST = 1000
+
 
 class HalfshaftError(Exception):
     """Base of all errors that halfshaft raises on purpose."""
@@ -31,7 +34,7 @@ class InputError(HalfshaftError):
     """Something that the user gave is not usable; `problems` lists everything that is wrong."""
 
     def __init__(self, where: str, problems: Iterable[str]) -> None:
-        self.where, self.problems = where, tuple(problems)
+        self.where, self.problems = _printable(where), tuple(_printable(p) for p in problems)
         super().__init__("\n  ".join([f"{where}:", *self.problems]) if len(self.problems) > 1 else f"{where}: {self.problems[0]}")
 
 
@@ -51,12 +54,21 @@ class SolveError(HalfshaftError):
     """The integrator of the forward-facing model failed."""
 
 
+def _printable(text: str) -> str:
+    """Return a message with control characters written out: what a file holds must not steer the terminal."""
+    shown = text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 4]} ..."
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``, did you mean 'x'?`` for the known name nearest to `name`, or nothing.
 
     Behind a dot only what belongs to the same owner is near.  Letters count, those of a longer name's first word too, and
     where `known` says what its names mean (by `doc`), so do the words of the meaning: ``body.mass`` is ``body.m``.
     """
+    # A name that is longer than any is not compared: the search takes time with the square of its length.
+    if len(name) > 100:
+        return ""
     names = list(known)
     owner, dot, own = name.rpartition(".")
     owners = {n.rpartition(".")[0] for n in names}

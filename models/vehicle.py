@@ -20,13 +20,16 @@ import numpy as np
 from halfshaft.library.component import Component
 from halfshaft.library.engine import EngineParameters
 from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.files import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml
+from halfshaft.library.files import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
 from halfshaft.library.final_drive import FinalDriveParameters
+from halfshaft.library.gearbox import MapGearboxParameters
 from halfshaft.library.generator import GeneratorParameters
 from halfshaft.library.motor import MotorParameters
 from halfshaft.library.parameters import Parameters, Spec, numbers, param, spec_of
 from halfshaft.library.series_control import genset_locus
+from halfshaft.library.shift import ShiftParameters
 from halfshaft.library.tables import Table
+from halfshaft.library.texts import cleaned, name_problem
 from halfshaft.library.toml import inline, quantity, toml_text, written
 from halfshaft.library.wheel import WheelParameters
 
@@ -78,8 +81,8 @@ class TopSpeed(Parameters):
 
     target: ClassVar[str] = "gearbox.ratios"
     needs: ClassVar[tuple[str, ...]] = ("motor", "wheel", "final_drive")
-    v: float = param("m/s", "speed of the vehicle", gt=0)
-    slip: float = param("1", "slip of the tyres at that speed", 0.0, ge=0)
+    v: float = param("m/s", "speed of the vehicle", ge=0.1, le=1e3)
+    slip: float = param("1", "slip of the tyres at that speed", 0.0, ge=0, le=10)
 
     def __call__(self, sets: Sets) -> tuple[float]:
         """Return the ratio of a single-speed gearbox."""
@@ -102,6 +105,15 @@ class GensetLocus(Parameters):
 
 # The locus takes longer than all else here, and most changes leave engine and generator alone.
 _locus = lru_cache(maxsize=16)(genset_locus)
+
+#: A map of a gearbox serves ratios that are so near to its own.
+OTHER_RATIO = 0.01
+#: Shift lines that fit an engine end between this share of its top speed and that speed.
+LAST_SHIFT = 0.9
+#: How the source of a changed vehicle begins: its changes are not of the base's source.
+OWN = "own figures, on the base"
+#: A vehicle is at most so many bases away from one that has none.
+MOST_BASES = 20
 
 RULES: dict[str, Any] = {"top-speed": TopSpeed, "genset-locus": GensetLocus}
 
@@ -129,6 +141,10 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         """Derive and check all parameters."""
+        if problem := name_problem(self.name):
+            raise InputError(f"vehicle '{self.name}'", [problem])
+        object.__setattr__(self, "title", cleaned(self.title))
+        object.__setattr__(self, "source", cleaned(self.source))
         object.__setattr__(self, "parameters", _parameter_sets(self))
 
     @property
@@ -146,6 +162,11 @@ class Vehicle:
         """Unit, meaning and bounds of all numbers."""
         return _specs(self.parts)
 
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What was made for other parts or numbers than this vehicle has; runs show it among their warnings."""
+        return tuple(filter(None, (_map_of_other_ratios(self), _lines_of_another_engine(self))))
+
     def components(self) -> dict[str, Component]:
         """Return the components by role, from the wheel to the source."""
         return {role: part.component(self.parameters[role]) for role, part in self.parts.items()}
@@ -156,7 +177,7 @@ class Vehicle:
         plain = {name: x.item() if isinstance(x, np.generic) else x for name, x in values.items()}
         given = _numbers(reader, self.parts, plain, "", plain=True)
         reader.finish(f"vehicle '{self.name}'")
-        return replace(self, given={**self.given, **given})
+        return replace(self, given={**self.given, **given}, source=_source_on(self))
 
     def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library or paths of files."""
@@ -165,6 +186,7 @@ class Vehicle:
         reader.finish(f"vehicle '{self.name}'")
         return replace(
             self,
+            source=_source_on(self),
             parts=_ordered(self.powertrain, {**self.parts, **new}),
             given=_without(self.given, new),
             rules=_without(self.rules, new),
@@ -248,7 +270,7 @@ def _parts(reader: Reader, powertrain: str, names: Mapping[str, Any], where: str
         if role not in roles:
             continue
         if not isinstance(name, str | Path):
-            reader.problems.append(f"{where}{role} = {name}, must be the name of a component")
+            reader.problems.append(f"{where}{role} = {shown(name)}, must be the name of a component")
             continue
         path = folder / Path(name) if isinstance(folder, Path) and str(name).endswith(".toml") else name
         derived = [rule.target.removeprefix(f"{role}.") for rule in RULES.values() if rule.target.startswith(f"{role}.")]
@@ -262,7 +284,8 @@ def _parts(reader: Reader, powertrain: str, names: Mapping[str, Any], where: str
         else:
             fitting = [n for kind in roles[role] for n in component_names(kind)]
             reader.problems.append(
-                f'{where}{role} = "{name}" is of kind {part.kind}, must be {" or ".join(roles[role])}{nearest(str(name), fitting)}'
+                f"{where}{role} = {shown(str(name))} is of kind {part.kind}, "
+                f"must be {' or '.join(roles[role])}{nearest(str(name), fitting)}"
             )
     return parts
 
@@ -285,7 +308,7 @@ def _rules(reader: Reader, parts: Parts, data: Mapping[str, Any], where: str) ->
         fitting = [n for n, rule in RULES.items() if rule.target == target]
         if name not in fitting:
             if target in targets:
-                reader.problems.append(f"{place} has rule {name!r}, must be {' or '.join(fitting)}")
+                reader.problems.append(f"{place} has rule {shown(name)}, must be {' or '.join(fitting)}")
             continue
         before = len(reader.problems)
         values = reader.parameters({k: v for k, v in settings.items() if k != "rule"}, RULES[name], f"{place}.")
@@ -300,6 +323,34 @@ def _flat(data: Mapping[str, Any]) -> dict[str, Any]:
     return {k: x for k, x in data.items() if k not in nested} | {f"{r}.{k}": x for r, part in nested.items() for k, x in part.items()}
 
 
+def _map_of_other_ratios(vehicle: Vehicle) -> str | None:
+    gearbox = vehicle.parameters.get("gearbox")
+    if not isinstance(gearbox, MapGearboxParameters):
+        return None
+    part = vehicle.parts["gearbox"]
+    pairs = enumerate(zip(part.values["ratios"], gearbox.ratios, strict=True), 1)
+    gears = [f"{own:.4g} in gear {i}, made for {made:.4g}" for i, (made, own) in pairs if abs(own / made - 1) > OTHER_RATIO]
+    return f"the efficiency map of gearbox {part.name} is used at ratios that it was not made for: {', '.join(gears)}" if gears else None
+
+
+def _lines_of_another_engine(vehicle: Vehicle) -> str | None:
+    shift, engine = vehicle.parameters.get("shift"), vehicle.parameters.get("engine")
+    if not isinstance(shift, ShiftParameters) or not isinstance(engine, EngineParameters):
+        return None
+    last, top = shift.up.inside(0)[1], engine.tau_max.inside(0)[1] * engine.speed_scale
+    if LAST_SHIFT <= last / top <= 1:
+        return None
+    lines, own = vehicle.parts["shift"].name, vehicle.parts["engine"].name
+    return f"the shift lines of {lines} end at {last:.0f} rad/s, engine {own} at {top:.0f} rad/s: they were made for another engine"
+
+
+def _source_on(base: Vehicle | None) -> str:
+    """Return where the figures come from that differ from a base: from whoever changed it."""
+    if base is None:
+        return ""
+    return base.source if base.source.startswith(OWN) else f"{OWN} {base.name} ({base.source})"
+
+
 def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
     path: Path | Traversable = Path(source)
     if isinstance(source, str) and not source.endswith(".toml"):
@@ -307,7 +358,7 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
         if source not in library:
             raise InputError(f"vehicle '{source}'", [f"not in the library{nearest(source, library)}"])
         path = library[source]
-    if str(path) in above:
+    if str(path) in above or len(above) > MOST_BASES:
         raise InputError(str(path), ["base leads back to the vehicle itself"])
     reader = Reader()
     data = reader.toml(path, ["vehicle"], {"powertrain": str, "base": str, "parts": dict, "set": dict, "derive": dict})
@@ -321,10 +372,10 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
     powertrain = data.get("powertrain", base.powertrain if base else "")
     if powertrain not in POWERTRAINS:
         if "powertrain" in data:
-            reader.problems.append(f'powertrain = "{powertrain}" is not known{nearest(powertrain, POWERTRAINS)}')
+            reader.problems.append(f"powertrain = {shown(powertrain)} is not known{nearest(powertrain, POWERTRAINS)}")
         reader.finish(str(path))
     elif base and powertrain != base.powertrain:
-        reader.problems.append(f'powertrain = "{powertrain}", must be that of its base, "{base.powertrain}"')
+        reader.problems.append(f'powertrain = {shown(powertrain)}, must be that of its base, "{base.powertrain}"')
     new = _parts(reader, powertrain, data.get("parts", {}), "parts.", folder)
     parts = _ordered(powertrain, {**(base.parts if base else {}), **new})
     reader.required({**parts, **data.get("parts", {})}, POWERTRAINS[powertrain], "parts.")
@@ -336,7 +387,7 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
         return Vehicle(
             name=data["name"],
             title=data["title"],
-            source=data.get("source", base.source if base else ""),
+            source=data["source"] if "source" in data else _source_on(base),
             powertrain=powertrain,
             parts=parts,
             given={**(_without(base.given, new) if base else {}), **given},
@@ -382,7 +433,11 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
             if lacking:
                 problems.append(f"{target}: its rule needs {' and '.join(lacking)}, which this vehicle does not have")
                 continue
-            value = rule(sets)
+            try:
+                value = rule(sets)
+            except InputError as e:
+                problems.extend(f"{target}: {p}" for p in e.problems)
+                continue
             if isinstance(value, tuple) and len(value) != len(values[role][parameter]):
                 problems.append(f"{target} has {len(values[role][parameter])} entries, its rule gives {len(value)}")
             values[role][parameter] = value

@@ -325,5 +325,7 @@ def test_a_result_is_short_at_the_prompt_and_a_table_in_a_notebook(name):
 
 
 def test_text_of_a_user_is_escaped_in_a_notebook():
-    car = replace(vehicle_of(ELECTRIC), name="<script>")
-    assert "<script>" not in run(car, cycle_of("us06"))._repr_html_()
+    result = run(vehicle_of(ELECTRIC), cycle_of("us06"))
+    named = replace(result, inputs=replace(result.inputs, vehicle="<script>"))
+    assert "&lt;script&gt;" in named._repr_html_()
+    assert "<script>" not in named._repr_html_()
