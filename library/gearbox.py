@@ -5,8 +5,9 @@ With the ratio ``G`` of the gear::
     omega_in = G omega_out
     tau_in   = tau_out / G + tau_loss(tau_out, omega_out, G) + J alpha_in    (1)
 
-On the way back the ratio of output to input torque without inertia is that of *required* (the paper's second
-assumption); where it is zero or negative, which a small negative output torque gives, the same loss is taken instead.
+On the way back the loss is the same share of the input torque, without inertia, as in *required* (the paper's second
+assumption), also where the torque comes back reversed: a gearbox never gives power.  Where the ratio of output to
+input torque is zero or negative, which a small negative output torque gives, the same loss is taken instead.
 
 Two losses::
 
@@ -76,11 +77,10 @@ class MapGearboxParameters(GearboxParameters):
 
 
 def same_efficiency(asked: Shaft, sent: Shaft, offered: Shaft, G: Expr) -> Shaft:
-    """Return what is delivered at the ratio of torques that *required* found; else at the same loss."""
+    """Return what is delivered when the share of the input torque that *required* lost is lost, whichever way it goes."""
     useful = asked.tau * sent.tau > 0
-    by_ratio = asked.tau * (offered.tau / where(useful, sent.tau, 1))
-    same_loss = asked.tau + G * (offered.tau - sent.tau)
-    return Shaft(where(useful, by_ratio, same_loss), offered.omega / G, offered.alpha / G)
+    share = where(useful, ca.fabs(offered.tau) / where(useful, ca.fabs(sent.tau), 1), 1)
+    return Shaft(G * offered.tau - share * (G * sent.tau - asked.tau), offered.omega / G, offered.alpha / G)
 
 
 @dataclass(frozen=True)
