@@ -145,6 +145,8 @@ class Result:
             found.append("battery empty")
         if "motor.omega_max" in p and self.highest.get("motor.omega", 0) >= p["motor.omega_max"] * p["motor.speed_scale"] * (1 - 1e-9):
             found.append("motor at its top speed")
+        if self.highest.get("engine.speed_limited", 0) > 0:
+            found.append("engine at its top speed")
         if "engine.fuel_used" in self.last and self.last["engine.fuel_used"] == 0:
             found.append("no fuel used: the engine never ran")
         if abs(self.account.balance_relative) > OPEN_BALANCE:
