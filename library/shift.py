@@ -108,7 +108,8 @@ class Shift(Component):
     ) -> Mapping[str, Any]:  # fmt: skip
         """Choose the gear for this step."""
         ratio_before = self.ratio_of(gear_before, ratios)
-        slow = ca.logic_and(trace_missed, dt <= 0.11)
+        # Beyond the grip the required speed is that of spinning wheels.
+        slow = ca.logic_and(ca.logic_or(trace_missed, slip_limited), dt <= 0.11)
         omega = where(slow, omega_estimate, omega_gearbox * ratio_before)
         tau = tau_gearbox / (clip(torque_ratio, 0.2, 1) * ratio_before) + tau_accessory_before
         load = where(slip_limited, 1, clip(tau / ca.fmax(tau_envelope(omega), 1e-9), 0, 1))

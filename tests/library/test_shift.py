@@ -51,3 +51,13 @@ def test_a_gear_that_was_not_raised_is_lowered_at_once():
 def test_the_time_in_a_raised_gear_is_a_number_of_the_shift():
     box = Box(shift(t_raised=0.0), 0.1)
     assert [box.step(300.0, 0.1), box.step(120.0, 0.95)] == [2, 1]
+
+
+@pytest.mark.parametrize(("signal", "seen"), [({}, 300.0), ({"slip_limited": 1.0}, 200.0), ({"trace_missed": 1.0}, 200.0)])
+def test_a_request_out_of_reach_shifts_by_the_speed_that_was_reached(signal, seen):
+    part, known = shift(), {"slip_limited": 0.0, "trace_missed": 0.0, "torque_ratio": 1.0, "dt": 0.1, "decided": 0.0, **signal}
+    state = {"gear_before": 1.0, "raised": 0.0, "t_since_shift": 15.0, "omega_estimate": 200.0}
+    given = part.control(
+        tau_gearbox=50 * RATIOS[0], omega_gearbox=300.0 / RATIOS[0], ratios=RATIOS, tau_envelope=lambda omega: 100.0, **known, **state
+    )
+    assert float(given["omega_input_estimate"]) == pytest.approx(seen)

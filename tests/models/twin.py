@@ -36,7 +36,7 @@ def drive(parameters, speeds, dt, v=0.0):
     )
     m, W, aero, r, G = body.m, body.m * body.g, 0.5 * body.rho * body.c_d * body.A, wheel.r, gearbox.ratios[0]
     N, h = pack.n_modules, body.h / body.wheelbase
-    soc, T, missed, ratio, w_motor_before, w_wheel_before = pack.soc_start, pack.T_start, False, 0.0, 0.0, v / r
+    soc, T, missed, ratio, w_motor_before, v_lim_before = pack.soc_start, pack.T_start, False, 0.0, 0.0, v
     U = N * look(pack.u_oc, T, soc)
     records = []
     for v_request in speeds:
@@ -57,8 +57,8 @@ def drive(parameters, speeds, dt, v=0.0):
         regen, front = look(wheel.share_driveline, vbar), look(wheel.share_front, vbar)
         rear = clip(1 - regen - front, 0, 1)
         F_axle, F_drive = (F_lim, F_lim) if F_lim >= 0 else (F_lim * (1 - rear), F_lim * regen)
-        w = v_lim * (1 + math.copysign(look(wheel.slip, abs(F_axle) / W_f), F_axle)) / r
-        w_alpha = (w - w_wheel_before) / dt
+        roll_ratio = (1 + math.copysign(look(wheel.slip, abs(F_axle) / W_f), F_axle)) / r
+        w, w_alpha = v_lim * roll_ratio, (v_lim - v_lim_before) / dt * roll_ratio
         T_wheel_loss = (look(wheel.tau_bearing, m) if w > 0 else 0.0) + wheel.J * w_alpha
         T_axle = F_drive * r + T_wheel_loss
 
@@ -126,7 +126,7 @@ def drive(parameters, speeds, dt, v=0.0):
         v_end = 2 * v_m - v
         v_end = v_end if v_end >= 1e-9 else 0.0
         missed, ratio = v_request - v_end > body.v_miss, v_end / v_w if v_w > 0 else 0.0
-        w_motor_before, w_wheel_before, v = w_lim, w, v_end
+        w_motor_before, v_lim_before, v = w_lim, v_lim, v_end
         records.append((v, F_a, T_a + T_gear_J, P_motor, P_given, P_pack, stored, U, soc, T))
     return np.array(records)
 

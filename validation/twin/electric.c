@@ -36,7 +36,7 @@
   X(battery, u_oc) X(battery, r_discharge) X(battery, r_charge) X(battery, Q) X(battery, eta_coulomb)
 
 #define STATES(X) \
-  X(body, v) X(body, distance) X(body, elevation) X(body, trace_missed) X(body, speed_ratio) X(wheel, omega_before) \
+  X(body, v) X(body, distance) X(body, elevation) X(body, trace_missed) X(body, speed_ratio) X(wheel, v_before) \
   X(gearbox, torque_ratio) X(motor, omega_before) X(battery, soc) X(battery, T) X(battery, U_supply)
 
 #define OUTPUTS(X) \
@@ -151,7 +151,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
     F_driven_asked = F_limited * (1 - (1 - fd) * share_front - (1 - rd) * share_rear);
   }
   const double slip = slip_of(t, F_driven_asked, W_driven);
-  const double omega_w = v_limited * (1 + slip) / r, alpha_w = (omega_w - x->wheel_omega_before) / dt;
+  const double omega_w = v_limited * (1 + slip) / r, alpha_w = (v_limited - x->wheel_v_before) / dt * (1 + slip) / r;
   const double tau_bearing = omega_w > 0 ? extended(&t->wheel_tau_bearing, m) : 0, tau_wheels = p->wheel_J * alpha_w;
   const double tau_axle = F_driveline_asked * r + tau_bearing + tau_wheels;
 
@@ -255,7 +255,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   xn->body_elevation = x->body_elevation + v_mean * dt * grade * cosine;
   xn->body_trace_missed = v_request - v_end > p->body_v_miss;
   xn->body_speed_ratio = v_driveline > 0 ? v_end / larger(v_driveline, 1e-12) : 0;
-  xn->wheel_omega_before = omega_w;
+  xn->wheel_v_before = v_limited;
   xn->gearbox_torque_ratio = ratio_speed * tau_mesh > 0 ? ratio_speed / tau_mesh : 0;
   xn->motor_omega_before = omega_m;
   xn->battery_soc = soc - dt * eta * I / (p->battery_capacity_scale * clipped(&t->battery_Q, T));
@@ -354,7 +354,7 @@ EXPORT void twin_march(long n, const double *dt, const double *v, const double *
                        const parameters *p, maps *t, outputs *history, double *sums, double *highest) {
   states x[2] = {{0}};
   x[0].body_v = p->body_v_start;
-  x[0].wheel_omega_before = p->body_v_start / p->wheel_r;
+  x[0].wheel_v_before = p->body_v_start;
   x[0].battery_soc = p->battery_soc_start;
   x[0].battery_T = p->battery_T_start;
   x[0].battery_U_supply = p->battery_n_modules * clipped_2d(&t->battery_u_oc, p->battery_T_start, p->battery_soc_start);
