@@ -38,3 +38,33 @@ def test_reversed_torque_loses_the_share_that_the_required_torque_lost():
     assert dragged == pytest.approx(-10 * ratio * (1 + share))
     _, driven, _ = trip(part, asked, 50.0, 10.0)
     assert driven == pytest.approx(10 * ratio * (1 - share))
+
+
+def test_both_floors_at_zero_read_the_map_as_the_original_does():
+    part, tau, omega = gearbox("single-map", omega_lookup=0.0, e_lowest=0.0), 5.0, 5.0
+    ratio = part.p.ratios[0]
+    assert float(part.p.efficiency(omega, tau, 1.0)) == 0
+    source, _, loss = trip(part, tau, omega, 0.0, gear=1)
+    # Zero efficiency: the loss torque is the output's times the ratio.
+    assert float(source.tau) == pytest.approx(tau * (1 / ratio + ratio))
+    assert loss == 0
+    braking, _, _ = trip(part, -tau, 0.5, 0.0, gear=1)
+    e = float(part.p.efficiency(0.5, -tau, 1.0))
+    assert float(braking.tau) == pytest.approx(-tau * e / ratio)
+    # With the floors a map is read at 5 rad/s, and as 0.05 at least.
+    floored = gearbox("single-map")
+    assert float(trip(floored, 50.0, 1.0, 0.0, gear=1)[0].tau) == pytest.approx(
+        50 / (ratio * float(floored.p.efficiency(5.0, 50.0, 1.0)))
+    )
+    assert float(trip(floored, tau, omega, 0.0, gear=1)[0].tau) == pytest.approx(tau / (0.05 * ratio))
+
+
+@pytest.mark.parametrize("name", ["single-map", "five-speed-map", "five-speed-si-map", "five-speed-ci-map"])
+def test_a_map_without_floors_stays_finite(name):
+    part = gearbox(name, omega_lookup=0.0, e_lowest=0.0)
+    for omega in (0.0, 0.01, 1.0, 5.0, 100.0):
+        for tau in (-500.0, -5.0, -0.01, 0.0, 0.01, 5.0, 500.0):
+            for offered in (-50.0, 0.0, 50.0):
+                source, given, loss = trip(part, tau, omega, offered, gear=1)
+                assert np.isfinite([float(source.tau), given, loss]).all()
+                assert loss >= -1e-9 * abs(offered * omega)

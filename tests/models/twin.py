@@ -2,7 +2,7 @@
 
 Written from the paper's equations and the block diagrams of the original, with the departures that halfshaft documents: no
 cap on inertia torques, generating torques cut to the generating envelope, the same loss where a gearbox has no useful
-ratio, and efficiencies read at 5 rad/s at least, and never below 0.05.  Flat road, one fixed gear, front drive, no limit of the brakes.
+ratio, and reversed torque that loses its share too.  Flat road, one fixed gear, front drive, no limit of the brakes.
 """
 
 import math
@@ -67,9 +67,9 @@ def drive(parameters, speeds, dt, v=0.0):
         T_out, w_out, out_alpha = T_axle / final.i + T_final_loss, w * final.i, w_alpha * final.i
         T_gear = 0.0
         if w_out > 0:
-            e = gearbox.efficiency_scale * look(gearbox.efficiency, max(w_out, 5) / gearbox.speed_scale, T_out / gearbox.torque_scale, 1.0)
-            e = clip(e, 0.05, 1)
-            T_gear = abs(T_out) * (1 - e) / G / (e if T_out >= 0 else 1)
+            e = gearbox.efficiency_scale * look(gearbox.efficiency, max(w_out, gearbox.omega_lookup) / gearbox.speed_scale, T_out / gearbox.torque_scale, 1.0)
+            e = clip(e, gearbox.e_lowest, 1)
+            T_gear = abs(T_out) * ((1 - e) / G if T_out < 0 else (1 - e) / (G * e) if e > 0 else G)
         T_in0, T_gear_J = T_out / G + T_gear, gearbox.J * out_alpha * G
         T_rotor, w_rotor = T_in0 + T_gear_J, w_out * G
 
@@ -107,7 +107,7 @@ def drive(parameters, speeds, dt, v=0.0):
         P_load = min(P_pack, max(P_bus, 0.0))
         P_given = P_load - clip(P_load - min(P_motor, 0.0), 0.0, P_acc)
         T_a = (T_lim * clip(P_given / P_map, 0, 1) if P_map != 0 else 0.0) - T_J - T_gear_J
-        T_out_a = T_out * T_a / T_in0 if T_out * T_in0 > 0 else T_out + G * (T_a - T_in0)
+        T_out_a = G * T_a - (G * T_in0 - T_out) * (abs(T_a / T_in0) if T_out * T_in0 > 0 else 1)
         F_dl = ((T_out_a - T_final_loss) * final.i - T_wheel_loss) / r
         w_a = w_lim / G / final.i
         F_friction = min(0.0, F - F_dl) if F < 0 else 0.0

@@ -23,6 +23,7 @@
   X(wheel, F_brake_front_max) X(wheel, F_brake_rear_max) \
   X(final_drive, i) X(final_drive, tau_loss) X(final_drive, J) \
   X(gearbox, ratios_1) X(gearbox, J) X(gearbox, speed_scale) X(gearbox, torque_scale) X(gearbox, efficiency_scale) \
+  X(gearbox, omega_lookup) X(gearbox, e_lowest) \
   X(motor, omega_max) X(motor, J) X(motor, overtorque) X(motor, I_max) X(motor, U_min) X(motor, speed_scale) \
   X(motor, torque_scale) X(motor, efficiency_scale) \
   X(accessories, P_on) X(accessories, eta) \
@@ -164,10 +165,10 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double G = p->gearbox_ratios_1, omega_g = omega_f * G, alpha_g = alpha_f * G;
   double drag_g = 0;
   if (omega_f > 0) {
-    double speed = larger(omega_f, 5) / p->gearbox_speed_scale;
+    double speed = larger(omega_f, p->gearbox_omega_lookup) / p->gearbox_speed_scale;
     double e = p->gearbox_efficiency_scale * clipped_2d(&t->gearbox_efficiency, speed, tau_f / p->gearbox_torque_scale);
-    e = between(e, 0.05, 1);
-    drag_g = (tau_f >= 0 ? tau_f * (1 - e) / e : -tau_f * (1 - e)) / G;
+    e = between(e, p->gearbox_e_lowest, 1);
+    drag_g = tau_f < 0 ? -tau_f * (1 - e) / G : e > 0 ? tau_f * (1 - e) / e / G : tau_f * G;
   }
   const double tau_mesh = tau_f / G + drag_g, tau_g_rotor = p->gearbox_J * alpha_g, tau_g = tau_mesh + tau_g_rotor;
 
@@ -219,7 +220,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   /* Gearbox, available: the same ratio of torques, or the same loss where that says nothing. */
   const double tau_offered = tau_motor - tau_g_rotor;
   const int useful = tau_f * tau_mesh > 0;
-  const double tau_gearbox = useful ? tau_f * tau_offered / tau_mesh : tau_f + G * (tau_offered - tau_mesh);
+  const double lost = useful ? fabs(tau_offered / tau_mesh) : 1, tau_gearbox = G * tau_offered - lost * (G * tau_mesh - tau_f);
   const double omega_gearbox = omega_m / G;
   const double ratio_speed = tau_f * omega_f / (omega_g > 0 ? omega_g : 1);
 
