@@ -31,7 +31,7 @@ from typing import Any
 import casadi as ca
 
 from halfshaft.library.component import Component, State, Variable, face, plant
-from halfshaft.library.expressions import Turning, clip, where
+from halfshaft.library.expressions import Turning, clip, lifted, where
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table
@@ -60,6 +60,10 @@ class EngineParameters(Parameters):
     torque_scale: float = param("1", "factor on all torques", 1.0, gt=0)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
     mass: float = param("kg", "mass", 0.0, ge=0)
+
+    def check(self) -> list[str]:
+        """Return what is wrong between parameters: no engine gives more than its fuel holds."""
+        return [*super().check(), *lifted(self.efficiency_scale, self.fuel, lambda work, fuel: [(work, self.H_fuel * fuel)])]
 
 
 @dataclass(frozen=True)

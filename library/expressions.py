@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 #: Signal `turning`: tells of a speed whether something moves, as 0 or 1 in the step and smoothly in the forward-facing model.
 Turning: TypeAlias = Callable[[Any], Any]
@@ -29,3 +30,15 @@ def where(condition: Any, then: Any, otherwise: Any) -> Any:
 def clip(x: Any, lowest: Any, highest: Any) -> Any:
     """Return `x` cut to an interval."""
     return ca.fmin(ca.fmax(x, lowest), highest)
+
+
+def lifted(efficiency_scale: Any, table: Any, pairs: Callable[[Any, Any], list[tuple[Any, Any]]]) -> list[str]:
+    """Return the problem that a scale lifts an efficiency above one.
+
+    The table is over speed and torque; `pairs` gives from work and values what comes out and what goes in.
+    """
+    if not (isinstance(efficiency_scale, int | float) and efficiency_scale > 1 and len(table.points) == 2):
+        return []
+    both = pairs(np.outer(*table.points), table.values)
+    best = efficiency_scale * max(np.max(out[into > 0] / into[into > 0], initial=0.0) for out, into in both)
+    return [f"efficiency_scale = {efficiency_scale:g} lifts the map's efficiency to {best:.3g}, above 1"] if best > 1 else []

@@ -72,7 +72,7 @@ class MapGearboxParameters(GearboxParameters):
     """Efficiency of the output point."""
 
     efficiency: Table = table("1", "efficiency", Axis("omega", "rad/s"), Axis("tau", "N.m"), Axis("gear", "1"), clip=True, ge=0, le=1)
-    efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
+    efficiency_scale: float = param("1", "factor on the efficiency, which stays below 1", 1.0, gt=0)
     omega_lookup: float = param("rad/s", "output speed below which the map is read at this speed; the original's is 0", 5.0, ge=0)
     e_lowest: float = param("1", "lowest efficiency; the original's is 0", 0.05, ge=0, lt=1)
 

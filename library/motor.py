@@ -24,7 +24,7 @@ from typing import Any
 import casadi as ca
 
 from halfshaft.library.component import State, Variable, face, plant
-from halfshaft.library.expressions import Turning, clip, where
+from halfshaft.library.expressions import Turning, clip, lifted, where
 from halfshaft.library.links import Link, TwoSided, inertia, limit
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Electric, Expr, Port, Shaft
@@ -52,6 +52,10 @@ class MotorParameters(Parameters):
     torque_scale: float = param("1", "factor on all torques", 1.0, gt=0)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
     mass: float = param("kg", "mass", 0.0, ge=0)
+
+    def check(self) -> list[str]:
+        """Return what is wrong between parameters: no motor gives more than it takes."""
+        return [*super().check(), *lifted(self.efficiency_scale, self.P_electric, lambda work, P: [(work, P), (-P, -work)])]
 
 
 @dataclass(frozen=True)

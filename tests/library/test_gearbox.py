@@ -53,9 +53,7 @@ def test_both_floors_at_zero_read_the_map_as_the_original_does():
     assert float(braking.tau) == pytest.approx(-tau * e / ratio)
     # With the floors a map is read at 5 rad/s, and as 0.05 at least.
     floored = gearbox("single-map")
-    assert float(trip(floored, 50.0, 1.0, 0.0, gear=1)[0].tau) == pytest.approx(
-        50 / (ratio * float(floored.p.efficiency(5.0, 50.0, 1.0)))
-    )
+    assert float(trip(floored, 50.0, 1.0, 0.0, gear=1)[0].tau) == pytest.approx(50 / (ratio * float(floored.p.efficiency(5.0, 50.0, 1.0))))
     assert float(trip(floored, tau, omega, 0.0, gear=1)[0].tau) == pytest.approx(tau / (0.05 * ratio))
 
 

@@ -67,7 +67,8 @@ def drive(parameters, speeds, dt, v=0.0):
         T_out, w_out, out_alpha = T_axle / final.i + T_final_loss, w * final.i, w_alpha * final.i
         T_gear = 0.0
         if w_out > 0:
-            e = gearbox.efficiency_scale * look(gearbox.efficiency, max(w_out, gearbox.omega_lookup) / gearbox.speed_scale, T_out / gearbox.torque_scale, 1.0)
+            w_map = max(w_out, gearbox.omega_lookup) / gearbox.speed_scale
+            e = gearbox.efficiency_scale * look(gearbox.efficiency, w_map, T_out / gearbox.torque_scale, 1.0)
             e = clip(e, gearbox.e_lowest, 1)
             T_gear = abs(T_out) * ((1 - e) / G if T_out < 0 else (1 - e) / (G * e) if e > 0 else G)
         T_in0, T_gear_J = T_out / G + T_gear, gearbox.J * out_alpha * G
