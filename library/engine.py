@@ -145,11 +145,12 @@ class Engine(Component):
         J = ca.fmax(self.p.J + J_shaft, 1e-6)
         spin_up = ca.fmin(self.tau_max(omega_own), J * (omega_command - omega_own) / dt + tau_accessory_before)
         tau_free = where(omega_command >= omega_own, spin_up, self.tau_closed(omega_own))
-        free = ca.fmax(omega_free + dt * (tau_free - tau_accessory_before) / J, 0)
+        per_tau = dt * (1 / J)
+        free = ca.fmax(omega_free + per_tau * (tau_free - tau_accessory_before), 0)
         follows = ca.logic_and(ca.logic_and(trace_missed, geared), ca.logic_not(clutch_slipping))
         geared_speed = where(follows, command_before * speed_ratio * ratio / ratio_before, omega_command)
         # A genset speeds up no faster than with all of its torque.
-        reached = where(geared, geared_speed, ca.fmin(omega_command, omega_own + dt * self.tau_max(omega_own) / J))
+        reached = where(geared, geared_speed, ca.fmin(omega_command, omega_own + per_tau * self.tau_max(omega_own)))
         omega = ca.fmax(ca.fmin(where(clutch_open, free, reached), self.omega_max), omega_idle * engine_on)
         return {
             "omega_engine": omega,
@@ -168,26 +169,26 @@ class Engine(Component):
         J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equations (1) to (3), and the fuel that it burns, equation (4)."""
-        J, omega, closed, highest = self.p.J, omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
-        change = (omega - omega_own) / dt
+        omega, closed, highest = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
+        J_dt, change = self.p.J * (1 / dt), omega - omega_own
         # A genset that only spins turns its generator's rotor too.
-        asked = shaft.tau + where(clutch_open, J_shaft * change, 0)
-        # The vehicle's acceleration in this step, at the engine; none behind a slipping clutch.
-        alpha = where(clutch_slipping, 0, 2 * shaft.omega * (1 - v / ca.fmax(v_limited, 1e-9)) / dt)
-        J_alpha = J * where(geared, alpha, change)
+        asked = shaft.tau + where(clutch_open, J_shaft * (1 / dt) * change, 0)
+        # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
+        gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
+        J_alpha = J_dt * where(geared, gain, change)
         needed = asked + J_alpha
-        share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, J_shaft * change))
+        share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, J_shaft * (1 / dt) * change))
         tau = where(clutch_open, asked, where(needed > highest, share, ca.fmax(asked, closed - J_alpha)))
         spinning_down = ca.logic_and(clutch_open, omega > omega_command + 1e-9)
-        tau_map = clip(where(spinning_down, closed, asked + J * change), closed, highest)
-        reached = omega_own + dt * (tau_map - tau) / ca.fmax(J, 1e-6)
+        tau_map = clip(where(spinning_down, closed, asked + J_dt * change), closed, highest)
+        reached = omega_own + dt * (tau_map - tau) * (1 / ca.fmax(self.p.J, 1e-6))
         own = where(clutch_open, omega, clip(reached, ca.fmin(omega, omega_own), ca.fmax(omega, omega_own)))
         # Behind an open clutch the shaft is the engine's own, and carries the accessories only; so is a genset's.
         turned = ca.logic_and(geared, ca.logic_not(clutch_open))
         omega_shaft = where(turned, ca.fmin(shaft.omega, self.omega_max), omega)
         flow = where(engine_on, self.fuel_flow(tau_map, omega), 0)
         P_fuel = flow * self.p.H_fuel
-        kinetic = J * (own**2 - omega_own**2) / (2 * dt)
+        kinetic = J_dt / 2 * (own**2 - omega_own**2)
         return {
             "shaft": Shaft(tau, omega_shaft, shaft.alpha),
             "throttle_engine": (tau_map - closed) / (highest - closed),
