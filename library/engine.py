@@ -31,8 +31,8 @@ from typing import Any
 import casadi as ca
 
 from halfshaft.library.component import Component, State, Variable, face, plant
-from halfshaft.library.expressions import Turning, clip, lifted, where
-from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.expressions import LIFTED, Turning, clip, lifted, where
+from halfshaft.library.parameters import Parameters, Relation, param, table
 from halfshaft.library.ports import Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table
 
@@ -61,9 +61,7 @@ class EngineParameters(Parameters):
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
     mass: float = param("kg", "mass", 0.0, ge=0)
 
-    def check(self) -> list[str]:
-        """Return what is wrong between parameters: no engine gives more than its fuel holds."""
-        return [*super().check(), *lifted(self.efficiency_scale, self.fuel, lambda work, fuel: [(work, self.H_fuel * fuel)])]
+    relations = (Relation(lambda p: lifted(p.efficiency_scale, p.fuel, lambda work, fuel: [(work, fuel)], p.H_fuel), LIFTED),)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,9 @@ import numpy as np
 #: Signal `turning`: tells of a speed whether something moves, as 0 or 1 in the step and smoothly in the forward-facing model.
 Turning: TypeAlias = Callable[[Any], Any]
 
+#: What a relation says of `lifted`.
+LIFTED = "efficiency_scale = {efficiency_scale:g} lifts an efficiency of the map above 1"
+
 
 class Direction(Protocol):
     """Signal `direction`: how a loss depends on whether a torque drives or brakes; smooth in the forward-facing model."""
@@ -32,13 +35,13 @@ def clip(x: Any, lowest: Any, highest: Any) -> Any:
     return ca.fmin(ca.fmax(x, lowest), highest)
 
 
-def lifted(efficiency_scale: Any, table: Any, pairs: Callable[[Any, Any], list[tuple[Any, Any]]]) -> list[str]:
-    """Return the problem that a scale lifts an efficiency above one.
+def lifted(efficiency_scale: Any, table: Any, pairs: Callable[[Any, Any], list[tuple[Any, Any]]], one: Any = 1.0) -> Any:
+    """Return whether a scale lifts an efficiency above one.
 
-    The table is over speed and torque; `pairs` gives from work and values what comes out and what goes in.
+    The table is over speed and torque; `pairs` gives from the work there and its values what comes out and what goes in, and
+    `one` is the ratio of both at an efficiency of one.
     """
-    if not (isinstance(efficiency_scale, int | float) and efficiency_scale > 1 and len(table.points) == 2):
-        return []
+    if len(table.points) != 2 or (isinstance(efficiency_scale, int | float) and efficiency_scale <= 1):
+        return False
     both = pairs(np.outer(*table.points), table.values)
-    best = efficiency_scale * max(np.max(out[into > 0] / into[into > 0], initial=0.0) for out, into in both)
-    return [f"efficiency_scale = {efficiency_scale:g} lifts the map's efficiency to {best:.3g}, above 1"] if best > 1 else []
+    return efficiency_scale * max(float(np.max(out[into > 0] / into[into > 0], initial=0.0)) for out, into in both) > one
