@@ -36,7 +36,7 @@ class Driver:
     dt: float = 0.1
     #: Shortest time that a shift keeps the clutch open [s]; the hybrid model may shift in no time, a plant cannot.
     t_shift: float = 0.2
-    #: Shortest time between two shifts [s]; the step's rule, none downward for two steps, is as long at steps of 1 s.
+    #: Shortest time between two shifts [s]; in the step only a shift down after a shift up waits so long.
     t_hold: float = 2.0
     #: Below this speed [m/s] a driver who wants to stop leaves the pedals and holds the vehicle with the brakes, at this
     #: share of its weight.

@@ -131,6 +131,9 @@ def _speeds(result: Result) -> Iterator[str]:
         if result.highest.get(name, 0) >= top:
             when = f": {_when(result, result[name] >= top)}" if result.has_history else ""
             yield f"{part.replace('_', ' ')} at its top speed{when}"
+    for name in (d.name for d in result.outputs if d.name.endswith(".speed_limited") and result.highest[d.name] > 0):
+        when = f": {_when(result, result[name] > 0)}" if result.has_history else ""
+        yield f"{name.split('.')[0].replace('_', ' ')} at its top speed{when}"
 
 
 def _energies(result: Result, units: Units) -> Iterator[str]:

@@ -1,7 +1,8 @@
 """Friction clutch between gearbox and engine: open, slipping or engaged.
 
-Torque passes unchanged, up to the engine's largest; open, none passes.  While slipping, the engine is asked for the
-launch speed and the power ``tau (omega_in - omega_out)`` is lost.  The control says which state holds.
+Torque passes unchanged, open none.  The engine is asked for all of it, and cuts it by its own law; what it gives passes
+up to its largest torque.  While slipping, the engine is asked for the launch speed and the power
+``tau (omega_in - omega_out)`` is lost.  The control says which state holds.
 """
 
 from __future__ import annotations
@@ -54,11 +55,8 @@ class Clutch(TwoSided):
     def chain(self, clutch_open: Expr, clutch_slipping: Expr, omega_launch: Expr, engine: Engine) -> tuple[Link, ...]:  # type: ignore[override]
         """Return the torque that passes and the speed behind the clutch."""
 
-        def passed(tau: Expr) -> Expr:
-            return where(clutch_open, 0, clip(tau, -engine.tau_largest, engine.tau_largest))
-
         def cut(load: Shaft) -> Shaft:
-            return load._replace(tau=passed(load.tau))
+            return load._replace(tau=where(clutch_open, 0, load.tau))
 
         def law(load: Shaft) -> Shaft:
             return load._replace(omega=where(clutch_slipping, omega_launch, load.omega))
@@ -66,7 +64,8 @@ class Clutch(TwoSided):
         def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
             parted = ca.logic_or(clutch_open, clutch_slipping)
             # A clutch that slips at launch turns faster at the engine: it can only drive.
-            tau = where(clutch_slipping, ca.fmax(0, passed(offered.tau)), passed(offered.tau))
+            lowest = where(clutch_slipping, 0, -engine.tau_largest)
+            tau = where(clutch_open, 0, clip(offered.tau, lowest, engine.tau_largest))
             return Shaft(tau, where(parted, asked.omega, offered.omega), asked.alpha)
 
         return (limit(cut), Link(law, back))

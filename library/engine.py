@@ -1,15 +1,23 @@
 """Combustion engine, hot: inertia, limits, closed throttle, fuel map.
 
-With the commanded speed ``omega_c`` of the control and the engine's own estimate ``omega``::
+With the speed ``omega`` in this step, the speed ``omega_own`` that the rotor has reached, and the acceleration ``alpha``
+that the vehicle (of a genset: the command) asks of it::
 
-    tau_map = clip(tau_asked + J d omega/dt, tau_closed(omega), tau_max(omega))      (1)
-    tau_out = tau_map - J d omega/dt
-    fuel    = f(omega, tau_map) while on, else 0                                     (2)
+    tau_out = tau_asked                                     if tau_asked + J alpha <= tau_max
+            = tau_asked tau_max / (tau_asked + J alpha)     else: load and rotor get the same share        (1)
+    tau_map = clip(tau_asked + J (omega - omega_own) / dt, tau_closed, tau_max)                            (2)
+    d omega_own / dt = (tau_map - tau_out) / J                                                             (3)
+    fuel    = f(omega, tau_map) while on, else 0                                                           (4)
+
+Equation (1) solves the step for the acceleration that the torque allows, so that steps may be as short as one likes: the
+inertia torque of an acceleration that is out of reach would stall the car.  Where gear or clutch make the speed jump, the
+rotor follows with the torque that driving leaves, over several steps if these are short.
 
 Torques below the map's lowest are read at the lowest: an engine on overrun burns what it burns at the lowest load.
 Behind an open clutch (or before a genset is ready) the engine spins by itself toward the commanded speed, by
 ``J d omega/dt = tau - tau_accessory``; the speed below idling is remembered, so that a later start begins there.
-Geared to the wheels it follows them, after a missed trace at the speed actually reached (paper eq. 10).
+Geared to the wheels it follows them, after a missed trace at the speed actually reached (paper eq. 10), and holds them
+to its top speed.
 
 The engine has one face: a source with limits has no way back.  Left out: cold running, emissions, turbo lag.
 """
@@ -23,8 +31,8 @@ from typing import Any
 import casadi as ca
 
 from halfshaft.library.component import Component, State, Variable, face, plant
-from halfshaft.library.expressions import Turning, clip, where
-from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.expressions import LIFTED, Turning, clip, lifted, where
+from halfshaft.library.parameters import Parameters, Relation, param, table
 from halfshaft.library.ports import Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table
 
@@ -32,6 +40,8 @@ from halfshaft.library.tables import Axis, Table
 GOVERNOR_TIME = 0.05
 #: Fall below idling speed at which the idling governor opens the throttle fully [rad/s].
 GOVERNOR_BAND = 10.0
+#: Share of the top speed over which the torque of the forward-facing model fades below it.
+FADE = 0.005
 
 SPEED, TORQUE = Axis("omega", "rad/s"), Axis("tau", "N.m")
 
@@ -51,6 +61,8 @@ class EngineParameters(Parameters):
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
+    relations = (Relation(lambda p: lifted(p.efficiency_scale, p.fuel, lambda work, fuel: [(work, fuel)], p.H_fuel), LIFTED),)
+
 
 @dataclass(frozen=True)
 class Engine(Component):
@@ -60,7 +72,7 @@ class Engine(Component):
     parameters = EngineParameters
     shaft = Port(Shaft, "wheel")
     states = (
-        State("omega_before", "rad/s", "speed of the previous step"),
+        State("omega_own", "rad/s", "speed that the rotor has reached"),
         State("omega_free", "rad/s", "speed of the free engine, idling control left out"),
         State("command_before", "rad/s", "commanded speed of the previous step"),
         State("ratio_before", "1", "ratio of the gear in the previous step"),
@@ -69,20 +81,21 @@ class Engine(Component):
     variables = (
         Variable("omega_engine", "rad/s", "speed of the engine", signal=True),
         Variable("throttle_engine", "1", "that torque between closed and open throttle", signal=True),
-        Variable("tau_map", "N.m", "torque in the fuel map (eq. 1)"),
-        Variable("fuel_flow", "kg/s", "fuel flow (eq. 2)"),
+        Variable("tau_map", "N.m", "torque in the fuel map (eq. 2)"),
+        Variable("speed_limited", "1", "whether its top speed holds the vehicle", kind="flag"),
+        Variable("fuel_flow", "kg/s", "fuel flow (eq. 4)"),
         Variable("P_fuel", "W", "power in the fuel", "fuel"),
         Variable("P_loss", "W", "power lost", "loss"),
         Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"),
         Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
         Variable("P_mismatch", "W", "power at the engine's own speed less that at the shaft", "mismatch"),
     )
-    plant_states = ((State("omega_engine", "rad/s", "speed of the engine", signal=True), "omega_before"), (states[4], "fuel_used"))
+    plant_states = ((State("omega_engine", "rad/s", "speed of the engine", signal=True), "omega_own"), (states[4], "fuel_used"))
     laws = ("tau_envelope", "engine")
 
     def start(self, omega_idle: Expr) -> Mapping[str, Any]:  # type: ignore[override]
         """Return the start values: idling."""
-        idling = dict.fromkeys(("omega_before", "omega_free", "command_before"), omega_idle)
+        idling = dict.fromkeys(("omega_own", "omega_free", "command_before"), omega_idle)
         return {**idling, "ratio_before": 1.0, "fuel_used": 0.0}
 
     @face("tau_envelope", "engine")
@@ -114,68 +127,78 @@ class Engine(Component):
         return self.p.torque_scale * self.p.tau_closed(omega / self.p.speed_scale)
 
     def fuel_flow(self, tau: Expr, omega: Expr) -> Expr:
-        """Return the fuel flow of a running engine, equation (2) [kg/s]."""
+        """Return the fuel flow of a running engine, equation (4) [kg/s]."""
         p = self.p
         scale = p.speed_scale * p.torque_scale / p.efficiency_scale
         return scale * p.fuel(omega / p.speed_scale, tau / p.torque_scale)
 
-    @face("omega_engine", "next_omega_before", "next_omega_free", "next_command_before", "next_ratio_before", "_tau_inertia", "_tau_shaft")
+    @face("omega_engine", "next_omega_free", "next_command_before", "next_ratio_before")
     def speed(
         self, omega_command: Expr, engine_on: Expr, omega_idle: Expr, clutch_open: Expr, dt: Expr,
-        omega_before: Expr, omega_free: Expr, command_before: Expr, trace_missed: Expr, speed_ratio: Expr,
+        omega_own: Expr, omega_free: Expr, command_before: Expr, trace_missed: Expr, speed_ratio: Expr,
         ratio_before: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, tau_accessory_before: Expr = 0.0,
         ratio: Expr = 1.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Estimate the engine's speed in this step."""
         J = ca.fmax(self.p.J + J_shaft, 1e-6)
-        missed = ca.logic_and(trace_missed, geared)
-        spin_up = ca.fmin(self.tau_max(omega_before), J * (omega_command - omega_before) / dt + tau_accessory_before)
-        tau_free = where(omega_command >= omega_before, spin_up, self.tau_closed(omega_before))
-        free = ca.fmax(omega_free + dt * (tau_free - tau_accessory_before) / J, 0)
-        follows = ca.logic_and(missed, ca.logic_not(clutch_slipping))
+        spin_up = ca.fmin(self.tau_max(omega_own), J * (omega_command - omega_own) / dt + tau_accessory_before)
+        tau_free = where(omega_command >= omega_own, spin_up, self.tau_closed(omega_own))
+        per_tau = dt * (1 / J)
+        free = ca.fmax(omega_free + per_tau * (tau_free - tau_accessory_before), 0)
+        follows = ca.logic_and(ca.logic_and(trace_missed, geared), ca.logic_not(clutch_slipping))
         geared_speed = where(follows, command_before * speed_ratio * ratio / ratio_before, omega_command)
-        omega = ca.fmax(ca.fmin(where(clutch_open, free, geared_speed), self.omega_max), omega_idle * engine_on)
-        change = where(missed, ca.fmax(omega - omega_before, 0), omega - omega_before)
+        # A genset speeds up no faster than with all of its torque.
+        reached = where(geared, geared_speed, ca.fmin(omega_command, omega_own + per_tau * self.tau_max(omega_own)))
+        omega = ca.fmax(ca.fmin(where(clutch_open, free, reached), self.omega_max), omega_idle * engine_on)
         return {
             "omega_engine": omega,
-            "next_omega_before": omega,
             "next_omega_free": where(clutch_open, free, omega),
             "next_command_before": omega_command,
             "next_ratio_before": ratio,
-            "_tau_inertia": self.p.J * change / dt,
-            "_tau_shaft": where(clutch_open, J_shaft * change / dt, 0),
         }
 
     @face(
-        "shaft", "throttle_engine", "tau_map", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation", "P_mismatch",
-        "next_fuel_used",
+        "shaft", "throttle_engine", "tau_map", "speed_limited", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation",
+        "P_mismatch", "next_omega_own", "next_fuel_used",
     )  # fmt: skip
     def available(
-        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr,
-        omega_before: Expr, fuel_used: Expr, _tau_inertia: Expr, _tau_shaft: Expr,
+        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
+        fuel_used: Expr, v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0,
+        J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
-        """Return the torque that the engine gives, equation (1), and the fuel that it burns, equation (2)."""
-        omega, closed = omega_engine, self.tau_closed(omega_engine)
-        driven = ca.logic_or(omega <= omega_command + 1e-9, ca.logic_not(clutch_open))
+        """Return the torque that the engine gives, equations (1) to (3), and the fuel that it burns, equation (4)."""
+        omega, closed, highest = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
+        J_dt, change = self.p.J * (1 / dt), omega - omega_own
         # A genset that only spins turns its generator's rotor too.
-        asked, highest = shaft.tau + _tau_shaft, self.tau_max(omega)
-        tau_map = clip(where(driven, asked + _tau_inertia, closed), closed, highest)
-        tau = where(clutch_open, asked, tau_map - _tau_inertia)
-        # Behind an open clutch the shaft is the engine's own, and carries the accessories only.
-        omega_shaft = where(clutch_open, omega, shaft.omega)
+        asked = shaft.tau + where(clutch_open, J_shaft * (1 / dt) * change, 0)
+        # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
+        gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
+        J_alpha = J_dt * where(geared, gain, change)
+        needed = asked + J_alpha
+        share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, J_shaft * (1 / dt) * change))
+        tau = where(clutch_open, asked, where(needed > highest, share, ca.fmax(asked, closed - J_alpha)))
+        spinning_down = ca.logic_and(clutch_open, omega > omega_command + 1e-9)
+        tau_map = clip(where(spinning_down, closed, asked + J_dt * change), closed, highest)
+        reached = omega_own + dt * (tau_map - tau) * (1 / ca.fmax(self.p.J, 1e-6))
+        own = where(clutch_open, omega, clip(reached, ca.fmin(omega, omega_own), ca.fmax(omega, omega_own)))
+        # Behind an open clutch the shaft is the engine's own, and carries the accessories only; so is a genset's.
+        turned = ca.logic_and(geared, ca.logic_not(clutch_open))
+        omega_shaft = where(turned, ca.fmin(shaft.omega, self.omega_max), omega)
         flow = where(engine_on, self.fuel_flow(tau_map, omega), 0)
         P_fuel = flow * self.p.H_fuel
-        kinetic = self.p.J * (omega**2 - omega_before**2) / (2 * dt)
+        kinetic = J_dt / 2 * (own**2 - omega_own**2)
         return {
             "shaft": Shaft(tau, omega_shaft, shaft.alpha),
             "throttle_engine": (tau_map - closed) / (highest - closed),
             "tau_map": tau_map,
+            "speed_limited": ca.logic_and(turned, shaft.omega > self.omega_max * (1 - 1e-9)),
             "fuel_flow": flow,
             "P_fuel": P_fuel,
             "P_loss": P_fuel - tau_map * omega,
             "P_kinetic": kinetic,
-            "P_discretisation": _tau_inertia * omega - kinetic,
-            "P_mismatch": (tau_map - _tau_inertia) * omega - tau * omega_shaft,
+            "P_discretisation": (tau_map - tau) * omega - kinetic,
+            "P_mismatch": tau * (omega - omega_shaft),
+            "next_omega_own": own,
             "next_fuel_used": fuel_used + dt * flow,
         }
 
@@ -183,7 +206,7 @@ class Engine(Component):
         self, shaft: Shaft, omega_engine: Expr, tau_map: Expr, P_fuel: Expr, P_loss: Expr, P_kinetic: Expr, P_discretisation: Expr,
         fuel_used: Expr, next_fuel_used: Expr, dt: Expr, engine_on: Expr, clutch_open: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
-        """Compare fuel and torque with the map, equation (2), and with what shaft and rotor took, equation (1)."""
+        """Compare fuel and torque with the map, equation (4), and with what shaft and rotor took, equation (3)."""
         fuel = where(engine_on, self.p.H_fuel * self.fuel_flow(tau_map, omega_engine), 0)
         taken = shaft.tau * omega_engine + P_kinetic + P_discretisation
         return {
@@ -193,7 +216,7 @@ class Engine(Component):
             "torque at the shaft": where(clutch_open, 0, tau_map * omega_engine - taken),
         }
 
-    @plant("der_omega_engine", "der_fuel_used", "tau_map", "P_fuel", "P_loss", "P_kinetic")
+    @plant("der_omega_engine", "der_fuel_used", "tau_map", "speed_limited", "P_fuel", "P_loss", "P_kinetic")
     def flow(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
         clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
@@ -201,9 +224,11 @@ class Engine(Component):
         """Return the engine's motion in continuous time.
 
         Geared to the wheels it follows the throttle, and a governor keeps it from falling below idling speed.  Else a
-        governor holds the commanded speed: the load's torque, plus one in proportion to the error.
+        governor holds the commanded speed: the load's torque, plus one in proportion to the error.  The torque fades over
+        the last half per cent below the top speed.
         """
-        closed, highest = self.tau_closed(omega_engine) * turning(omega_engine), self.tau_max(omega_engine)
+        fade = clip((1 - omega_engine / self.omega_max) / FADE, 0, 1)
+        closed, highest = self.tau_closed(omega_engine) * turning(omega_engine), fade * self.tau_max(omega_engine)
         J = ca.fmax(self.p.J + J_shaft, 1e-3)
 
         def governed(omega: Expr) -> Expr:
@@ -219,6 +244,7 @@ class Engine(Component):
             "der_omega_engine": alpha,
             "der_fuel_used": flow,
             "tau_map": tau,
+            "speed_limited": fade < 1,
             "P_fuel": flow * self.p.H_fuel,
             "P_loss": flow * self.p.H_fuel - tau * omega_engine,
             "P_kinetic": J * alpha * omega_engine,

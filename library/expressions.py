@@ -6,9 +6,13 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 #: Signal `turning`: tells of a speed whether something moves, as 0 or 1 in the step and smoothly in the forward-facing model.
 Turning: TypeAlias = Callable[[Any], Any]
+
+#: What a relation says of `lifted`.
+LIFTED = "efficiency_scale = {efficiency_scale:g} lifts an efficiency of the map above 1"
 
 
 class Direction(Protocol):
@@ -29,3 +33,15 @@ def where(condition: Any, then: Any, otherwise: Any) -> Any:
 def clip(x: Any, lowest: Any, highest: Any) -> Any:
     """Return `x` cut to an interval."""
     return ca.fmin(ca.fmax(x, lowest), highest)
+
+
+def lifted(efficiency_scale: Any, table: Any, pairs: Callable[[Any, Any], list[tuple[Any, Any]]], one: Any = 1.0) -> Any:
+    """Return whether a scale lifts an efficiency above one.
+
+    The table is over speed and torque; `pairs` gives from the work there and its values what comes out and what goes in, and
+    `one` is the ratio of both at an efficiency of one.
+    """
+    if len(table.points) != 2 or (isinstance(efficiency_scale, int | float) and efficiency_scale <= 1):
+        return False
+    both = pairs(np.outer(*table.points), table.values)
+    return efficiency_scale * max(float(np.max(out[into > 0] / into[into > 0], initial=0.0)) for out, into in both) > one

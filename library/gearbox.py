@@ -5,8 +5,9 @@ With the ratio ``G`` of the gear::
     omega_in = G omega_out
     tau_in   = tau_out / G + tau_loss(tau_out, omega_out, G) + J alpha_in    (1)
 
-On the way back the ratio of output to input torque without inertia is that of *required* (the paper's second
-assumption); where it is zero or negative, which a small negative output torque gives, the same loss is taken instead.
+On the way back the loss is the same share of the input torque, without inertia, as in *required* (the paper's second
+assumption), also where the torque comes back reversed: a gearbox never gives power.  Where the ratio of output to
+input torque is zero or negative, which a small negative output torque gives, the same loss is taken instead.
 
 Two losses::
 
@@ -17,6 +18,10 @@ is the regression that NREL used until 2001, after measurements of a Volkswagen 
 the other looks up the efficiency ``e(omega, tau, gear)`` of the output point::
 
     tau_loss = (1 - e) |tau| / (G e)  driving,   (1 - e) |tau| / G  braking  (3)
+
+The maps come from (2), clipped to efficiencies between 0 and 1.  Near standstill the polynomial is negative, and what is left
+of it are zeros beside ones; so a map is read at ``omega_lookup`` at least, and as ``e_lowest`` at least.  Both at 0 read it
+as the original does; where the efficiency is zero, that one loses ``G |tau|`` at the input.
 
 While shifting, the gearbox asks for no torque.
 """
@@ -38,11 +43,6 @@ from halfshaft.library.tables import Axis, Table
 
 #: Output speed [rad/s] below which the power of equation (2) fades to nothing, so that the torque stays finite.
 OMEGA_FLOOR = 0.2
-#: Output speed [rad/s] below which equation (3) reads the map here.  The maps come from a loss polynomial that is
-#: negative near standstill; clipped, it leaves zeros where the efficiency is near one.
-OMEGA_LOOKUP = 5.0
-#: Lowest efficiency.  The maps are zero at standstill and at small braking torques, where no torque would ever pass.
-E_LOWEST = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,15 +72,16 @@ class MapGearboxParameters(GearboxParameters):
     """Efficiency of the output point."""
 
     efficiency: Table = table("1", "efficiency", Axis("omega", "rad/s"), Axis("tau", "N.m"), Axis("gear", "1"), clip=True, ge=0, le=1)
-    efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
+    efficiency_scale: float = param("1", "factor on the efficiency, which stays below 1", 1.0, ge=0.01, le=100)
+    omega_lookup: float = param("rad/s", "output speed below which the map is read at this speed; the original's is 0", 5.0, ge=0, le=1e4)
+    e_lowest: float = param("1", "lowest efficiency; the original's is 0", 0.05, ge=0, lt=1)
 
 
 def same_efficiency(asked: Shaft, sent: Shaft, offered: Shaft, G: Expr) -> Shaft:
-    """Return what is delivered at the ratio of torques that *required* found; else at the same loss."""
+    """Return what is delivered when the share of the input torque that *required* lost is lost, whichever way it goes."""
     useful = asked.tau * sent.tau > 0
-    by_ratio = asked.tau * (offered.tau / where(useful, sent.tau, 1))
-    same_loss = asked.tau + G * (offered.tau - sent.tau)
-    return Shaft(where(useful, by_ratio, same_loss), offered.omega / G, offered.alpha / G)
+    share = where(useful, ca.fabs(offered.tau) / where(useful, ca.fabs(sent.tau), 1), 1)
+    return Shaft(G * offered.tau - share * (G * sent.tau - asked.tau), offered.omega / G, offered.alpha / G)
 
 
 @dataclass(frozen=True)
@@ -157,10 +158,11 @@ class MapGearbox(_Gearbox):
     def tau_loss(self, output: Shaft, G: Expr, gear: Expr, direction: Direction) -> Expr:
         """Return equation (3) [N.m]."""
         p = self.p
-        omega = ca.fmax(output.omega, OMEGA_LOOKUP)
+        omega = ca.fmax(output.omega, p.omega_lookup)
 
         def efficiency(tau: Expr) -> Expr:
-            e = p.efficiency_scale * p.efficiency(omega / p.speed_scale, tau / p.torque_scale, gear)
-            return clip(e, E_LOWEST, 1)
+            e = clip(p.efficiency_scale * p.efficiency(omega / p.speed_scale, tau / p.torque_scale, gear), p.e_lowest, 1)
+            # Zero, of which only a lowest efficiency of zero lets any through, stands for a driving loss of G tau.
+            return where(e > 0, e, where(tau >= 0, 1 / (1 + G**2), 0))
 
         return direction.loss(output.tau, efficiency) / G

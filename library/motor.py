@@ -24,9 +24,9 @@ from typing import Any
 import casadi as ca
 
 from halfshaft.library.component import State, Variable, face, plant
-from halfshaft.library.expressions import Turning, clip, where
+from halfshaft.library.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.links import Link, TwoSided, inertia, limit
-from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.parameters import Parameters, Relation, param, table
 from halfshaft.library.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.tables import Axis, Table
 
@@ -52,6 +52,8 @@ class MotorParameters(Parameters):
     torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
+
+    relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
 
 
 @dataclass(frozen=True)

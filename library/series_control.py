@@ -67,7 +67,7 @@ class SeriesControl(Component):
     states = (
         State("on_before", "1", "whether the engine was on in the previous step"),
         State("t_on", "s", "time since the engine was started"),
-        State("t_off", "s", "time since the engine was stopped"),
+        State("t_off", "s", "time since the engine was stopped, below 0 in the step that stops it"),
         State("P_before", "W", "slewed engine power of the previous step; below 0 before the first"),
         State("turned_before", "1", "whether the genset had a speed command in the previous step"),
         State("part_time", "s", "time in the present part of the average"),
@@ -128,7 +128,9 @@ class SeriesControl(Component):
 
         parts = [part_1, part_2, part_3, part_4, part_5]
         average = sum(parts) / PARTS
-        restart = ca.logic_and(t_off >= p.t_off_min, average >= 1.2 * P_min)
+        # The present step counts; the one after a stop begins to count at 0.
+        off = where(t_off < 0, 0, t_off + dt)
+        restart = ca.logic_and(off >= p.t_off_min - 1e-9, average >= 1.2 * P_min)
         wanted = ca.logic_or(ca.logic_or(on_before, restart), soc <= p.soc_low)
         wanted = ca.logic_and(wanted, ca.logic_or(soc <= p.soc_high, P_asked >= P_min))
         wanted = ca.logic_and(wanted, ca.logic_or(ca.logic_not(p.charge_depleting), soc <= middle))
@@ -152,7 +154,7 @@ class SeriesControl(Component):
             "P_engine_request": P_asked,
             "next_on_before": on,
             "next_t_on": where(on, t_on + dt, 0),
-            "next_t_off": where(ca.logic_and(on_before, ca.logic_not(on)), 0, t_off + dt),
+            "next_t_off": where(ca.logic_and(on_before, ca.logic_not(on)), -1, off),
             "next_P_before": P,
             "next_turned_before": on,
             "next_part_time": where(turn, 0, time),

@@ -10,8 +10,9 @@
 friction brakes by speed, and applies (1) and (2).  *Available* returns the driveline's force, adds the friction brakes
 that the request still needs, and where a speed limit acted turns (1) round (paper eq. 12).
 
-Drag inside the grip limit is linearised with ``v_end^2 ~ v_0 v_end``.  The slip's rate is neglected in the
-forward-facing model.  Left out: combined slip, tyre temperature, a dynamic rolling radius.
+``alpha`` is the acceleration of the required mean speed at the present slip.  The slip's rate is neglected, as in the
+forward-facing model: in a short step a jump of slip would take more torque than there is.  Drag inside the grip limit is
+linearised with ``v_end^2 ~ v_0 v_end``.  Left out: combined slip, tyre temperature, a dynamic rolling radius.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class Wheel(Component):
     parameters = WheelParameters
     tyre = Port(Tyre, "wheel")
     axle = Port(Shaft, "source")
-    states = (State("omega_before", "rad/s", "required mean speed of the previous step"),)
+    states = (State("v_before", "m/s", "required mean speed of the previous step"),)
     variables = (
         Variable("F_limited", "N", "required force after the grip limit"),
         Variable("v_limited", "m/s", "required mean speed after the grip limit", signal=True),
@@ -104,7 +105,7 @@ class Wheel(Component):
 
     def start(self, v: Expr) -> Mapping[str, Any]:  # type: ignore[override]
         """Return the start values: rolling without slip."""
-        return {"omega_before": v / self.p.r}
+        return {"v_before": v}
 
     @face("rolling")
     def law(self) -> Mapping[str, Any]:
@@ -163,17 +164,17 @@ class Wheel(Component):
 
     @face(
         "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
-        "next_omega_before", "_asked", "_grip", "_split", "_way",
+        "next_v_before", "_asked", "_grip", "_split", "_way",
     )  # fmt: skip
     def required(
-        self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters, omega_before: Expr, turning: Turning
+        self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters, v_before: Expr, turning: Turning
     ) -> Mapping[str, Any]:
         """Return the axle point that the request needs, equations (1) and (2)."""
         grip = self.grip(tyre, v, grade, dt, body)
         split = self.split(grip.F, tyre.v)
         slip = self.slip(split.axle, grip.W_driven)
         omega = grip.v * (1 + slip) / self.p.r
-        tread = self.shaft(split.driveline, omega, (omega - omega_before) / dt)
+        tread = self.shaft(split.driveline, omega, (grip.v - v_before) / dt * (1 + slip) / self.p.r)
         way = [tread]
         links = self.chain(turning, body)
         for link in links:
@@ -186,7 +187,7 @@ class Wheel(Component):
             "slip": slip,
             "F_friction_required": grip.F - split.driveline,
             "F_driveline_required": split.driveline,
-            "next_omega_before": omega,
+            "next_v_before": grip.v,
             "_asked": tyre,
             "_grip": grip,
             "_split": split,

@@ -51,6 +51,6 @@ def test_a_longer_run_does_not_move_the_time():
 
 def test_an_acceleration_is_shown_in_one_line():
     text = repr(accelerate(CAR))
-    assert text == "<Acceleration small-car-electric, refined: 10.416 s (hybrid method 11.259 s)>"
+    assert text == "<Acceleration small-car-electric, refined: 10.430 s (hybrid method 11.259 s)>"
     assert "never reached, highest speed 158.0 km/h" in repr(accelerate(CAR, to=300 / 3.6))
-    assert "10.416 s" in accelerate(CAR)._repr_html_()
+    assert "10.430 s" in accelerate(CAR)._repr_html_()

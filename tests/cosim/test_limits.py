@@ -246,3 +246,29 @@ def test_no_part_gives_more_than_it_gets_in_any_step(name, cycle):
     lowest = {d.name: result[d.name].min() for d in result.outputs if d.booking == "loss"}
     # Rounding of powers up to 100 kW.
     assert {loss: P for loss, P in lowest.items() if P < -1e-6} == {}
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.1])
+@both_modes
+def test_an_engine_at_its_top_speed_holds_the_car(mode, dt):
+    # Kept in first gear the engine would have to turn at twice its top speed.
+    car = vehicle_of(CONVENTIONAL).with_values({"shift.t_hold": 1e9})
+    result = run(car, cycle_of("udds"), dt=dt, mode=mode)
+    top = float(car.components()["engine"].omega_max)
+    assert result.highest["engine.omega"] == pytest.approx(top)
+    rolling = top / car.values["gearbox.ratios_1"] * car.values["wheel.r"]
+    # Braked tyres slip a little; the end speed of a step may exceed its mean speed, which the engine holds.
+    assert result.highest["body.v_mean"] <= 1.01 * rolling
+    assert result.highest["body.v"] < 1.02 * rolling
+    assert "engine at its top speed" in str(result.warnings)
+    assert "engine at its top speed" not in str(run(vehicle_of(CONVENTIONAL), cycle_of("udds"), dt=dt, mode=mode).warnings)
+    # What it cannot use is no longer booked as a difference of speeds.
+    assert abs(result.account.mismatch_relative) < 1e-3
+
+
+def test_an_engine_at_its_top_speed_holds_the_car_forward_facing():
+    car = vehicle_of(CONVENTIONAL).with_values({"shift.t_hold": 1e9})
+    result = run(car, trace((0, 0), (10, 20), (12, 20)), via="forward")
+    top = float(car.components()["engine"].omega_max)
+    assert 0.99 * top < result.highest["engine.omega_engine"] <= top
+    assert "engine at its top speed" in str(result.warnings)

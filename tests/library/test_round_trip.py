@@ -197,12 +197,11 @@ def wheel_case(name, body_name, seed, **values):
     v, a, grade = ca.vertsplit(x)
     tyre = asked["tyre"]
 
-    def required(omega_before):
-        return wheel.required(tyre, v, grade, DT, body.p, omega_before, step_turning)
+    def required(v_before):
+        return wheel.required(tyre, v, grade, DT, body.p, v_before, step_turning)
 
     # The plant's wheels turn with the vehicle; so do these when they did one step earlier.
-    first = required(0.0)
-    way = required(first["next_omega_before"] - DT * a * (1 + first["slip"]) / wheel.p.r)
+    way = required(required(0.0)["v_limited"] - DT * a)
     split = wheel.split(tyre.F, tyre.v)
     driven, other = split.axle - split.driveline, tyre.F - split.axle
     front, rear = (driven, other) if wheel.p.front_driven else (other, driven)

@@ -15,6 +15,7 @@ CAR = Vehicle.load("small-car-electric")
 CARS = {
     "as it is": {},
     "heavy": {"body.m": 2400.0},
+    "map read as the original does": {"gearbox.omega_lookup": 0.0, "gearbox.e_lowest": 0.0},
     "half empty": {"battery.soc_start": 0.3},
     "little current": {"motor.I_max": 80.0},
     "slow motor": {"motor.speed_scale": 0.6, "motor.torque_scale": 1.4, "motor.efficiency_scale": 0.9, "gearbox.ratios_1": 6.0},

@@ -2,7 +2,7 @@
 
 Written from the paper's equations and the block diagrams of the original, with the departures that halfshaft documents: no
 cap on inertia torques, generating torques cut to the generating envelope, the same loss where a gearbox has no useful
-ratio, and efficiencies read at 5 rad/s at least, and never below 0.05.  Flat road, one fixed gear, front drive, no limit of the brakes.
+ratio, and reversed torque that loses its share too.  Flat road, one fixed gear, front drive, no limit of the brakes.
 """
 
 import math
@@ -36,7 +36,7 @@ def drive(parameters, speeds, dt, v=0.0):
     )
     m, W, aero, r, G = body.m, body.m * body.g, 0.5 * body.rho * body.c_d * body.A, wheel.r, gearbox.ratios[0]
     N, h = pack.n_modules, body.h / body.wheelbase
-    soc, T, missed, ratio, w_motor_before, w_wheel_before = pack.soc_start, pack.T_start, False, 0.0, 0.0, v / r
+    soc, T, missed, ratio, w_motor_before, v_lim_before = pack.soc_start, pack.T_start, False, 0.0, 0.0, v
     U = N * look(pack.u_oc, T, soc)
     records = []
     for v_request in speeds:
@@ -57,8 +57,8 @@ def drive(parameters, speeds, dt, v=0.0):
         regen, front = look(wheel.share_driveline, vbar), look(wheel.share_front, vbar)
         rear = clip(1 - regen - front, 0, 1)
         F_axle, F_drive = (F_lim, F_lim) if F_lim >= 0 else (F_lim * (1 - rear), F_lim * regen)
-        w = v_lim * (1 + math.copysign(look(wheel.slip, abs(F_axle) / W_f), F_axle)) / r
-        w_alpha = (w - w_wheel_before) / dt
+        roll_ratio = (1 + math.copysign(look(wheel.slip, abs(F_axle) / W_f), F_axle)) / r
+        w, w_alpha = v_lim * roll_ratio, (v_lim - v_lim_before) / dt * roll_ratio
         T_wheel_loss = (look(wheel.tau_bearing, m) if w > 0 else 0.0) + wheel.J * w_alpha
         T_axle = F_drive * r + T_wheel_loss
 
@@ -67,9 +67,10 @@ def drive(parameters, speeds, dt, v=0.0):
         T_out, w_out, out_alpha = T_axle / final.i + T_final_loss, w * final.i, w_alpha * final.i
         T_gear = 0.0
         if w_out > 0:
-            e = gearbox.efficiency_scale * look(gearbox.efficiency, max(w_out, 5) / gearbox.speed_scale, T_out / gearbox.torque_scale, 1.0)
-            e = clip(e, 0.05, 1)
-            T_gear = abs(T_out) * (1 - e) / G / (e if T_out >= 0 else 1)
+            w_map = max(w_out, gearbox.omega_lookup) / gearbox.speed_scale
+            e = gearbox.efficiency_scale * look(gearbox.efficiency, w_map, T_out / gearbox.torque_scale, 1.0)
+            e = clip(e, gearbox.e_lowest, 1)
+            T_gear = abs(T_out) * ((1 - e) / G if T_out < 0 else (1 - e) / (G * e) if e > 0 else G)
         T_in0, T_gear_J = T_out / G + T_gear, gearbox.J * out_alpha * G
         T_rotor, w_rotor = T_in0 + T_gear_J, w_out * G
 
@@ -107,7 +108,7 @@ def drive(parameters, speeds, dt, v=0.0):
         P_load = min(P_pack, max(P_bus, 0.0))
         P_given = P_load - clip(P_load - min(P_motor, 0.0), 0.0, P_acc)
         T_a = (T_lim * clip(P_given / P_map, 0, 1) if P_map != 0 else 0.0) - T_J - T_gear_J
-        T_out_a = T_out * T_a / T_in0 if T_out * T_in0 > 0 else T_out + G * (T_a - T_in0)
+        T_out_a = G * T_a - (G * T_in0 - T_out) * (abs(T_a / T_in0) if T_out * T_in0 > 0 else 1)
         F_dl = ((T_out_a - T_final_loss) * final.i - T_wheel_loss) / r
         w_a = w_lim / G / final.i
         F_friction = min(0.0, F - F_dl) if F < 0 else 0.0
@@ -126,7 +127,7 @@ def drive(parameters, speeds, dt, v=0.0):
         v_end = 2 * v_m - v
         v_end = v_end if v_end >= 1e-9 else 0.0
         missed, ratio = v_request - v_end > body.v_miss, v_end / v_w if v_w > 0 else 0.0
-        w_motor_before, w_wheel_before, v = w_lim, w, v_end
+        w_motor_before, v_lim_before, v = w_lim, v_lim, v_end
         records.append((v, F_a, T_a + T_gear_J, P_motor, P_given, P_pack, stored, U, soc, T))
     return np.array(records)
 

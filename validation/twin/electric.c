@@ -23,6 +23,7 @@
   X(wheel, F_brake_front_max) X(wheel, F_brake_rear_max) \
   X(final_drive, i) X(final_drive, tau_loss) X(final_drive, J) \
   X(gearbox, ratios_1) X(gearbox, J) X(gearbox, speed_scale) X(gearbox, torque_scale) X(gearbox, efficiency_scale) \
+  X(gearbox, omega_lookup) X(gearbox, e_lowest) \
   X(motor, omega_max) X(motor, J) X(motor, overtorque) X(motor, I_max) X(motor, U_min) X(motor, speed_scale) \
   X(motor, torque_scale) X(motor, efficiency_scale) \
   X(accessories, P_on) X(accessories, eta) \
@@ -36,7 +37,7 @@
   X(battery, u_oc) X(battery, r_discharge) X(battery, r_charge) X(battery, Q) X(battery, eta_coulomb)
 
 #define STATES(X) \
-  X(body, v) X(body, distance) X(body, elevation) X(body, trace_missed) X(body, speed_ratio) X(wheel, omega_before) \
+  X(body, v) X(body, distance) X(body, elevation) X(body, trace_missed) X(body, speed_ratio) X(wheel, v_before) \
   X(gearbox, torque_ratio) X(motor, omega_before) X(battery, soc) X(battery, T) X(battery, U_supply)
 
 #define OUTPUTS(X) \
@@ -151,7 +152,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
     F_driven_asked = F_limited * (1 - (1 - fd) * share_front - (1 - rd) * share_rear);
   }
   const double slip = slip_of(t, F_driven_asked, W_driven);
-  const double omega_w = v_limited * (1 + slip) / r, alpha_w = (omega_w - x->wheel_omega_before) / dt;
+  const double omega_w = v_limited * (1 + slip) / r, alpha_w = (v_limited - x->wheel_v_before) / dt * (1 + slip) / r;
   const double tau_bearing = omega_w > 0 ? extended(&t->wheel_tau_bearing, m) : 0, tau_wheels = p->wheel_J * alpha_w;
   const double tau_axle = F_driveline_asked * r + tau_bearing + tau_wheels;
 
@@ -164,10 +165,10 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double G = p->gearbox_ratios_1, omega_g = omega_f * G, alpha_g = alpha_f * G;
   double drag_g = 0;
   if (omega_f > 0) {
-    double speed = larger(omega_f, 5) / p->gearbox_speed_scale;
+    double speed = larger(omega_f, p->gearbox_omega_lookup) / p->gearbox_speed_scale;
     double e = p->gearbox_efficiency_scale * clipped_2d(&t->gearbox_efficiency, speed, tau_f / p->gearbox_torque_scale);
-    e = between(e, 0.05, 1);
-    drag_g = (tau_f >= 0 ? tau_f * (1 - e) / e : -tau_f * (1 - e)) / G;
+    e = between(e, p->gearbox_e_lowest, 1);
+    drag_g = tau_f < 0 ? -tau_f * (1 - e) / G : e > 0 ? tau_f * (1 - e) / e / G : tau_f * G;
   }
   const double tau_mesh = tau_f / G + drag_g, tau_g_rotor = p->gearbox_J * alpha_g, tau_g = tau_mesh + tau_g_rotor;
 
@@ -219,7 +220,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   /* Gearbox, available: the same ratio of torques, or the same loss where that says nothing. */
   const double tau_offered = tau_motor - tau_g_rotor;
   const int useful = tau_f * tau_mesh > 0;
-  const double tau_gearbox = useful ? tau_f * tau_offered / tau_mesh : tau_f + G * (tau_offered - tau_mesh);
+  const double lost = useful ? fabs(tau_offered / tau_mesh) : 1, tau_gearbox = G * tau_offered - lost * (G * tau_mesh - tau_f);
   const double omega_gearbox = omega_m / G;
   const double ratio_speed = tau_f * omega_f / (omega_g > 0 ? omega_g : 1);
 
@@ -255,7 +256,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   xn->body_elevation = x->body_elevation + v_mean * dt * grade * cosine;
   xn->body_trace_missed = v_request - v_end > p->body_v_miss;
   xn->body_speed_ratio = v_driveline > 0 ? v_end / larger(v_driveline, 1e-12) : 0;
-  xn->wheel_omega_before = omega_w;
+  xn->wheel_v_before = v_limited;
   xn->gearbox_torque_ratio = ratio_speed * tau_mesh > 0 ? ratio_speed / tau_mesh : 0;
   xn->motor_omega_before = omega_m;
   xn->battery_soc = soc - dt * eta * I / (p->battery_capacity_scale * clipped(&t->battery_Q, T));
@@ -354,7 +355,7 @@ EXPORT void twin_march(long n, const double *dt, const double *v, const double *
                        const parameters *p, maps *t, outputs *history, double *sums, double *highest) {
   states x[2] = {{0}};
   x[0].body_v = p->body_v_start;
-  x[0].wheel_omega_before = p->body_v_start / p->wheel_r;
+  x[0].wheel_v_before = p->body_v_start;
   x[0].battery_soc = p->battery_soc_start;
   x[0].battery_T = p->battery_T_start;
   x[0].battery_U_supply = p->battery_n_modules * clipped_2d(&t->battery_u_oc, p->battery_T_start, p->battery_soc_start);

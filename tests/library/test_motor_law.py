@@ -1,0 +1,31 @@
+import pytest
+
+from halfshaft.library.errors import InputError
+from halfshaft.library.files import read_component
+from halfshaft.library.ports import Electric, Shaft
+from halfshaft.models.assembly import step_turning
+from halfshaft.models.vehicle import Vehicle
+
+
+@pytest.mark.parametrize(("offered", "share"), [(0.5, 0.5), (1.5, 1.0), (-0.5, 0.0)])
+def test_a_motor_gives_the_share_of_its_torque_for_which_power_comes(offered, share):
+    file = read_component("pm-32kw")
+    motor = file.component(file.parameters)
+    faces = {f.name: f for f in motor.faces()}
+    signals = {"trace_missed": 0.0, "speed_ratio": 0.0, "omega_before": 0.0, "U_supply": 1e4, "turning": step_turning, "shifting": 0.0}
+    way = faces["required"].run(shaft=Shaft(60.0, 300.0, 0.0), **signals)
+    P = float(way["dc"].P)
+    assert P > 60 * 300
+    back = faces["available"].run(dc=Electric(offered * P), _way=way["_way"], dt=1.0)
+    # More power than was asked for makes no torque, nor does power that flows the other way.
+    assert float(back["shaft"].tau) == pytest.approx(60 * share)
+
+
+@pytest.mark.parametrize(
+    ("car", "name", "allowed", "refused"),
+    [("small-car-conventional", "engine.efficiency_scale", 2.5, 3.0), ("small-car-electric", "motor.efficiency_scale", 1.05, 1.1)],
+)
+def test_no_scale_lifts_an_efficiency_above_one(car, name, allowed, refused):
+    assert Vehicle.load(car).with_values({name: allowed}).values[name] == allowed
+    with pytest.raises(InputError, match=rf"efficiency_scale = {refused:g} lifts an efficiency of the map above 1"):
+        Vehicle.load(car).with_values({name: refused})
