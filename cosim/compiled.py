@@ -41,6 +41,8 @@ class March:
     dt: Array
     state: Array
     evaluations: int
+    #: Steps in which the search of the refined mode, or the iteration, found no speed that is reached.
+    unsolved: int = 0
 
     @cached_property
     def sums(self) -> Array:
@@ -113,6 +115,7 @@ class CompiledStep:
             "HS_P_MISS": step.parameter_index["body.v_miss"],
             "HS_Y_REQUEST": step.output_index["body.v_request"],
             "HS_Y_MISS": step.output_index["body.trace_miss"],
+            "HS_Y_OVERSPEED": step.output_index["body.overspeed"],
         }
         defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
         decisions = [*step.decisions, -1]
@@ -158,16 +161,16 @@ class CompiledStep:
         x = np.empty(len(self.step.states)) if state is None else np.array(state, dtype=float)
         rows = np.empty((n, n_outputs)) if history else None
         sums, highest = (None, None) if history else (np.empty(n_outputs), np.empty(n_outputs))
-        evaluations = ctypes.c_long()
+        counts = (ctypes.c_long * 2)()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
             n, *map(_address, (samples.dt, samples.v, samples.grade, samples.key_on)),
             0 if distance is None else len(distance), *map(_address, (distance, grade, parameters)),
-            state is not None, *map(_address, (x, rows, sums, highest)), MODES.index(mode), ctypes.byref(evaluations),
+            state is not None, *map(_address, (x, rows, sums, highest)), MODES.index(mode), counts,
         )  # fmt: skip
         if done < n:
             raise _lost(self.step, samples, done)
-        return March(rows, None if sums is None or highest is None else (sums, highest), samples.dt, x, evaluations.value)
+        return March(rows, None if sums is None or highest is None else (sums, highest), samples.dt, x, *counts)
 
 
 class InterpretedStep:

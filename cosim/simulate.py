@@ -143,9 +143,10 @@ def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver 
         *forward.plant.shown,
         Description("body.v_request", "m/s", "requested speed"),
         Description("body.trace_miss", "m/s", "request less achieved speed"),
+        Description("body.overspeed", "m/s", "achieved less requested speed"),
     )
     v = done.history[:, [d.name for d in forward.plant.shown].index("body.v")]
-    rows = np.column_stack([done.history, samples.v, samples.v - v])
+    rows = np.column_stack([done.history, samples.v, samples.v - v, v - samples.v])
     # Powers are integrated by IDAS; of all else the sum over the samples must do.
     energies = {d.name: float(e) for d, e in zip(outputs, rows.T @ samples.dt, strict=True)} | done.energies
     return _result(inputs, outputs, samples, rows, energies, _first(vehicle, samples))

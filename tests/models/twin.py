@@ -2,7 +2,8 @@
 
 Written from the paper's equations and the block diagrams of the original, with the departures that halfshaft documents: no
 cap on inertia torques, generating torques cut to the generating envelope, the same loss where a gearbox has no useful
-ratio, and efficiencies read at 5 rad/s at least, and never below 0.05.  Flat road, one fixed gear, front drive, no limit of the brakes.
+ratio, efficiencies read at 5 rad/s at least, and never below 0.05, and brakes that the tyres hold.  Flat road, one fixed gear,
+front drive, no limit of the brakes themselves.
 """
 
 import math
@@ -110,9 +111,12 @@ def drive(parameters, speeds, dt, v=0.0):
         T_out_a = T_out * T_a / T_in0 if T_out * T_in0 > 0 else T_out + G * (T_a - T_in0)
         F_dl = ((T_out_a - T_final_loss) * final.i - T_wheel_loss) / r
         w_a = w_lim / G / final.i
-        F_friction = min(0.0, F - F_dl) if F < 0 else 0.0
+        F_friction = min(0.0, F_lim - F_dl) if F_lim < 0 else 0.0
         regen, front = look(wheel.share_driveline, r * w_a), look(wheel.share_front, r * w_a)
-        F_front = F_friction * clip(front / (1 - regen), 0, 1)
+        # The rear axle is not driven: its grip is there for its brakes alone.  What they cannot take the front ones do.
+        F_rear = -min(-F_friction * (1 - clip(front / (1 - regen), 0, 1)), mu * (W - W_f))
+        F_front = -min(F_rear - F_friction, mu * W_f + F_dl)
+        F_friction = F_front + F_rear
         F_a, F_axle = F_dl + F_friction, F_dl + F_front
         v_w = r * w_a / (1 + math.copysign(look(wheel.slip, abs(F_axle) / W_f), F_axle))
         v_a = v_w if abs(w - w_a) > 1e-3 else v_lim

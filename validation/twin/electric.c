@@ -41,7 +41,7 @@
 
 #define OUTPUTS(X) \
   X(body, v) X(body, distance) X(body, elevation) X(body, v_request) X(body, F_required) X(body, v_mean) \
-  X(body, trace_miss) X(body, P_aero) X(body, P_roll) X(body, P_climb) X(body, P_kinetic) X(body, P_mismatch) \
+  X(body, trace_miss) X(body, overspeed) X(body, P_aero) X(body, P_roll) X(body, P_climb) X(body, P_kinetic) X(body, P_mismatch) \
   X(body, P_limit) X(body, a_request) X(body, P_in) \
   X(wheel, F_limited) X(wheel, v_limited) X(wheel, slip_limited) X(wheel, slip) X(wheel, F_brake_front) \
   X(wheel, F_brake_rear) X(wheel, F_friction_required) X(wheel, F_driveline_required) X(wheel, v_driveline) \
@@ -139,7 +139,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double v_lowest = (-grip + transfer * climb + rest - transfer * momentum) / (slope - transfer * m / dt);
   const double v_limited = between(v_asked, 0.5 * (v_lowest + v), 0.5 * (v_highest + v));
   const double shifted = p->body_h / p->body_wheelbase * (2 * m * (v_limited - v) / dt + climb);
-  const double W_driven = fd * (front * W - shifted) + rd * ((1 - front) * W + shifted);
+  const double W_front = front * W - shifted, W_rear = (1 - front) * W + shifted, W_driven = fd * W_front + rd * W_rear;
   const double F_max = p->wheel_mu_max * W_driven, F_limited = between(F_asked, -F_max, F_max);
 
   /* Wheel and axle, required, eq. 1, 4 and 5: the driveline takes its share of a braking force. */
@@ -226,14 +226,18 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   /* Final drive, available. */
   const double tau_final = (tau_gearbox - tau_f_rotor - drag_f) * i, omega_final = omega_gearbox / i;
 
-  /* Wheel, available, eq. 12: friction brakes make up what the request still needs. */
+  /* Wheel, available, eq. 12: friction brakes make up what the request still needs.  The tyres of an axle hold them and the
+     driveline's share; what one axle cannot take goes to the other. */
   const double F_driveline = (tau_final - tau_wheels - tau_bearing) / r, v_tread = r * omega_final;
-  const double F_friction = F_asked < 0 ? smaller(0, F_asked - F_driveline) : 0;
+  const double F_friction = F_limited < 0 ? smaller(0, F_limited - F_driveline) : 0;
+  const double used = F_driveline / larger(W_driven, 1e-3);
+  const double room_front = between(W_front * (p->wheel_mu_max + fd * used), 0, p->wheel_F_brake_front_max);
+  const double room_rear = between(W_rear * (p->wheel_mu_max + rd * used), 0, p->wheel_F_brake_rear_max);
   double share_front = 0.6;
   const double share = clipped(&t->wheel_share_driveline, v_tread);
   if (share < 1) share_front = between(clipped(&t->wheel_share_front, v_tread) / larger(1 - share, 1e-12), 0, 1);
-  const double F_front = larger(share_front * F_friction, -p->wheel_F_brake_front_max);
-  const double F_rear = larger(smaller(0, F_friction - F_front), -p->wheel_F_brake_rear_max);
+  const double F_front = larger(smaller(share_front * F_friction, F_friction + room_rear), -room_front);
+  const double F_rear = larger(F_friction - F_front, -room_rear);
   const double F = F_driveline + F_front + F_rear;
   const double F_driven = F_driveline + (fd ? F_front : 0) + (rd ? F_rear : 0);
   const double v_driveline = v_tread / (1 + slip_of(t, F_driven, W_driven));
@@ -269,6 +273,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->body_F_required = o->wheel_F_required = F_asked;
   o->body_v_mean = v_mean;
   o->body_trace_miss = v_request - v_end;
+  o->body_overspeed = v_end - v_request;
   o->body_P_aero = aero * v_mean * v_mean * v_mean;
   o->body_P_roll = moves * (roll_0 + roll_1 * v_mean) * v_mean;
   o->body_P_climb = climb * v_mean;
