@@ -37,7 +37,7 @@ class March:
     """What a march over a cycle leaves: outputs of shape ``(n, n_outputs)``, or only their totals; the last state."""
 
     history: Array | None
-    totals: tuple[Array, Array] | None
+    totals: tuple[Array, Array, Array] | None
     dt: Array
     state: Array
     evaluations: int
@@ -45,10 +45,18 @@ class March:
     unsolved: int = 0
 
     @cached_property
+    def last(self) -> Array:
+        """Outputs of the last step; zero if there was none."""
+        if self.totals is not None:
+            return self.totals[0]
+        assert self.history is not None
+        return self.history[-1] if len(self.history) else np.zeros(self.history.shape[1])
+
+    @cached_property
     def sums(self) -> Array:
         """Time integral of each output."""
         if self.totals is not None:
-            return self.totals[0]
+            return self.totals[1]
         assert self.history is not None
         return np.asarray(self.dt @ self.history)
 
@@ -56,7 +64,7 @@ class March:
     def highest(self) -> Array:
         """Maximum of each output; minus infinity if there was no step."""
         if self.totals is not None:
-            return self.totals[1]
+            return self.totals[2]
         assert self.history is not None
         return np.asarray(np.max(self.history, axis=0, initial=-np.inf))
 
@@ -93,7 +101,7 @@ def _address(array: Array | None) -> int | None:
 _LONG, _PLACE = ctypes.c_long, ctypes.c_void_p
 #: Argument types of the functions in ``march.c``.
 _ARGUMENTS = {
-    "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 4, ctypes.c_int, _PLACE),
+    "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 5, ctypes.c_int, _PLACE),
     "hs_one": (_PLACE,) * 5,
     "hs_first": (_PLACE,) * 2,
 }
@@ -160,17 +168,17 @@ class CompiledStep:
         parameters = np.ascontiguousarray(parameters, dtype=float)
         x = np.empty(len(self.step.states)) if state is None else np.array(state, dtype=float)
         rows = np.empty((n, n_outputs)) if history else None
-        sums, highest = (None, None) if history else (np.empty(n_outputs), np.empty(n_outputs))
+        totals = None if history else (np.empty(n_outputs), np.empty(n_outputs), np.empty(n_outputs))
         counts = (ctypes.c_long * 2)()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
             n, *map(_address, (samples.dt, samples.v, samples.grade, samples.key_on)),
             0 if distance is None else len(distance), *map(_address, (distance, grade, parameters)),
-            state is not None, *map(_address, (x, rows, sums, highest)), MODES.index(mode), counts,
+            state is not None, *map(_address, (x, rows, *(totals or (None, None, None)))), MODES.index(mode), counts,
         )  # fmt: skip
         if done < n:
             raise _lost(self.step, samples, done)
-        return March(rows, None if sums is None or highest is None else (sums, highest), samples.dt, x, *counts)
+        return March(rows, totals, samples.dt, x, *counts)
 
 
 class InterpretedStep:

@@ -100,13 +100,13 @@ static double grade_at(double s, long n, const double *distance, const double *g
 }
 
 /* March `n` steps from the state `x`, or where not `started` from the start state; `x` becomes the last state.  `history`
-   holds n rows of outputs; where it is null, `sums` gets the time integrals and `highest` the maxima of all outputs.
+   holds n rows of outputs; where it is null, `last` gets the last row, `sums` the time integrals and `highest` the maxima of all outputs.
    Returns the number of steps done; less than n if a number was lost.  `counts` gets the number of calls of the step,
    and of searches without success. */
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
                         const double *grade_distance, const double *grade_value, const double *p, int started, double *x,
-                        double *history, double *restrict sums, double *restrict highest, int mode, long *counts) {
-  double state[2][HS_NX], decided[HS_NX], row[HS_NY], u[HS_NU], q[HS_NQ];
+                        double *history, double *last, double *restrict sums, double *restrict highest, int mode, long *counts) {
+  double state[2][HS_NX], decided[HS_NX], u[HS_NU], q[HS_NQ];
   double *now = state[0], *next = state[1];
   trial t = {0, p, q, u, 0, 0, 0, 0, 1, 0, 1};
   int searched = 1;
@@ -115,9 +115,9 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
   if (!started) hs_start(p, x);
   t.failed = hs_prepare(p, q) | hs_lost(x, HS_NX);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
-  for (int i = 0; !history && i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
+  for (int i = 0; !history && i < HS_NY; ++i) { last[i] = sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {
-    double *y = history ? history + k * HS_NY : row;
+    double *y = history ? history + k * HS_NY : last;
     u[1] = n_grade ? grade_at(now[HS_X_DISTANCE], n_grade, grade_distance, grade_value) : grade[k];
     u[2] = key_on[k];
     u[3] = dt[k];

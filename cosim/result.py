@@ -56,6 +56,8 @@ class Result:
         Maximum of every output.
     first, last
         Speed and state of charge at start and end, by output name.
+    notes
+        What the run noticed that its outputs do not show.
 
     """
 
@@ -67,6 +69,7 @@ class Result:
     highest: Mapping[str, float]
     first: Mapping[str, float]
     last: Mapping[str, float]
+    notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Array:
         """Return one time series, shape ``(n,)``.
@@ -117,6 +120,7 @@ class Result:
             "soc_start": self.first.get("battery.soc"),
             "soc_end": self.last.get("battery.soc"),
             "trace_miss_max_mps": max(self.highest["body.trace_miss"], 0.0) if len(self.time) else 0.0,
+            "overspeed_max_mps": max(self.highest["body.overspeed"], 0.0) if len(self.time) else 0.0,
             "balance_relative": self.account.balance_relative,
             "speed_mismatch_relative": self.account.mismatch_relative,
             "warnings": list(self.warnings),
@@ -137,6 +141,9 @@ class Result:
         if miss > p["body.v_miss"]:
             when = f" at t = {self.time[int(np.argmax(self['body.trace_miss']))]:g} s" if len(self.history) else ""
             found.append(f"trace missed by up to {miss * 3.6:.1f} km/h{when}")
+        if (over := self.highest["body.overspeed"]) > p["body.v_miss"]:
+            when = f" at t = {self.time[int(np.argmax(self['body.overspeed']))]:g} s" if len(self.history) else ""
+            found.append(f"too fast for the trace by up to {over * 3.6:.1f} km/h{when}")
         if self.highest.get("wheel.slip_limited", 0) > 0:
             found.append("grip limit reached")
         if self.highest.get("battery.battery_limited", 0) > 0:
@@ -149,13 +156,14 @@ class Result:
             found.append("no fuel used: the engine never ran")
         if abs(self.account.balance_relative) > OPEN_BALANCE:
             found.append(f"the energy account is open by {self.account.balance_relative:.1e} of the turnover")
-        return tuple(found)
+        return (*found, *self.notes)
 
     def _plain(self) -> dict[str, Any]:
         return {
             "inputs": {**self.inputs.__dict__, "parameters": dict(self.inputs.parameters)},
             "outputs": [list(d) for d in self.outputs],
             "energies": dict(self.energies), "highest": dict(self.highest), "first": dict(self.first), "last": dict(self.last),
+            "notes": list(self.notes),
         }  # fmt: skip
 
     def save(self, path: str | Path) -> Path:
@@ -191,4 +199,14 @@ class Result:
                 time = data["time"].to_numpy()
         except (OSError, KeyError, ValueError) as error:
             raise InputError(str(path), [f"is not a result of halfshaft: {error}"]) from error
-        return cls(Inputs(**plain["inputs"]), time, outputs, history, plain["energies"], plain["highest"], plain["first"], plain["last"])
+        return cls(
+            Inputs(**plain["inputs"]),
+            time,
+            outputs,
+            history,
+            plain["energies"],
+            plain["highest"],
+            plain["first"],
+            plain["last"],
+            tuple(plain["notes"]),
+        )

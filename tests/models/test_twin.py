@@ -16,6 +16,7 @@ CARS = {
     "as it is": {},
     "heavy": {"body.m": 2400.0},
     "half empty": {"battery.soc_start": 0.3},
+    "half the pack": {"battery.soc_start": 0.9, "battery.capacity_scale": 0.5},
     "little current": {"motor.I_max": 80.0},
     "on ice": {"wheel.mu_max": 0.15},
     "on ice, light at the rear and full": {"wheel.mu_max": 0.2, "body.front_share": 0.85, "battery.soc_start": 1.0},

@@ -37,6 +37,7 @@ def drive(parameters, speeds, dt, v=0.0):
     )
     m, W, aero, r, G = body.m, body.m * body.g, 0.5 * body.rho * body.c_d * body.A, wheel.r, gearbox.ratios[0]
     N, h = pack.n_modules, body.h / body.wheelbase
+    drawn = (1 - pack.soc_start) * pack.capacity_scale * look(pack.Q, pack.T_start)
     soc, T, missed, ratio, w_motor_before, w_wheel_before = pack.soc_start, pack.T_start, False, 0.0, 0.0, v / r
     U = N * look(pack.u_oc, T, soc)
     records = []
@@ -101,8 +102,10 @@ def drive(parameters, speeds, dt, v=0.0):
         P_pack = U * current
         stored = U_oc * eta * current
         R_th = pack.R_th_fan + 1 / (2 * pack.airflow * 1009) if T > pack.T_fan else pack.R_th_still
-        soc -= dt * eta * current / (pack.capacity_scale * look(pack.Q, T))
+        drawn += dt * eta * current
         T += dt * ((stored - P_pack) / N - (T - pack.T_ambient) / R_th) / (pack.mass * pack.c_p)
+        capacity = pack.capacity_scale * look(pack.Q, T)
+        soc = clip((capacity - drawn) / capacity, 0, 1)
 
         # And back: bus, accessories first, motor by ratio of powers, gearbox by ratio of torques, the rest by torque.
         P_load = min(P_pack, max(P_bus, 0.0))

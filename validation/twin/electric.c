@@ -37,7 +37,7 @@
 
 #define STATES(X) \
   X(body, v) X(body, distance) X(body, elevation) X(body, trace_missed) X(body, speed_ratio) X(wheel, omega_before) \
-  X(gearbox, torque_ratio) X(motor, omega_before) X(battery, soc) X(battery, T) X(battery, U_supply)
+  X(gearbox, torque_ratio) X(motor, omega_before) X(battery, charge_drawn) X(battery, soc) X(battery, T) X(battery, U_supply)
 
 #define OUTPUTS(X) \
   X(body, v) X(body, distance) X(body, elevation) X(body, v_request) X(body, F_required) X(body, v_mean) \
@@ -58,7 +58,7 @@
   X(motor, P_out) X(motor, P_in) X(motor, P_in_required) \
   X(accessories, P_loss) X(accessories, P_out) X(accessories, P_in) X(accessories, P_in_required) \
   X(bus, P_bus) X(bus, P_loss) X(bus, P_out) X(bus, P_in) X(bus, P_in_required) \
-  X(battery, soc) X(battery, T) X(battery, U) X(battery, I) X(battery, P_stored) X(battery, P_loss) \
+  X(battery, charge_drawn) X(battery, T) X(battery, soc) X(battery, U) X(battery, I) X(battery, P_stored) X(battery, P_loss) \
   X(battery, P_battery_max) X(battery, P_battery_min) X(battery, battery_limited) X(battery, P_out)
 
 /* Piecewise linear over one axis (ny = 0) or two; i and j remember where the last look-up was. */
@@ -114,6 +114,11 @@ static double clipped_2d(map *m, double x, double y) {
 static double slip_of(maps *t, double F, double W) {
   double slip = clipped(&t->wheel_slip, fabs(F) / larger(W, 1e-3));
   return F > 0 ? slip : F < 0 ? -slip : 0;
+}
+
+/* State of charge: what is drawn, of the capacity at the present temperature. */
+static double charge_left(const parameters *p, maps *t, const states *x) {
+  return between(1 - x->battery_charge_drawn / (p->battery_capacity_scale * clipped(&t->battery_Q, x->battery_T)), 0, 1);
 }
 
 static void step(const parameters *p, maps *t, const states *x, double v_request, double grade, double key_on, double dt,
@@ -262,8 +267,9 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   xn->wheel_omega_before = omega_w;
   xn->gearbox_torque_ratio = ratio_speed * tau_mesh > 0 ? ratio_speed / tau_mesh : 0;
   xn->motor_omega_before = omega_m;
-  xn->battery_soc = soc - dt * eta * I / (p->battery_capacity_scale * clipped(&t->battery_Q, T));
+  xn->battery_charge_drawn = x->battery_charge_drawn + dt * eta * I;
   xn->battery_T = T + dt * (P_heat / N - (T - p->battery_T_ambient) / R_th) / (p->battery_mass * p->battery_c_p);
+  xn->battery_soc = charge_left(p, t, xn);
   xn->battery_U_supply = U;
 
   o->body_v = xn->body_v;
@@ -340,6 +346,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->bus_P_loss = P_battery - P_given;
   o->bus_P_in = o->battery_P_out = P_battery;
 
+  o->battery_charge_drawn = xn->battery_charge_drawn;
   o->battery_soc = xn->battery_soc;
   o->battery_T = xn->battery_T;
   o->battery_U = U;
@@ -358,8 +365,9 @@ EXPORT void twin_march(long n, const double *dt, const double *v, const double *
   states x[2] = {{0}};
   x[0].body_v = p->body_v_start;
   x[0].wheel_omega_before = p->body_v_start / p->wheel_r;
-  x[0].battery_soc = p->battery_soc_start;
+  x[0].battery_charge_drawn = (1 - p->battery_soc_start) * p->battery_capacity_scale * clipped(&t->battery_Q, p->battery_T_start);
   x[0].battery_T = p->battery_T_start;
+  x[0].battery_soc = charge_left(p, t, x);
   x[0].battery_U_supply = p->battery_n_modules * clipped_2d(&t->battery_u_oc, p->battery_T_start, p->battery_soc_start);
   for (int j = 0; sums && j < N_OUTPUTS; ++j) { sums[j] = 0; highest[j] = -HUGE_VAL; }
   for (long k = 0; k < n; ++k) {
