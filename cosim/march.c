@@ -124,6 +124,8 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     u[4] = 0;
     u[0] = v[k];
     t.failed |= hs_lost(u, HS_NU);
+    /* A speed that was solved for was reached: the step after it has nothing to estimate. */
+    if (mode != HYBRID) now[HS_X_MISSED] = 0;
     t.x = now; t.xn = next; t.y = y;
     t.sign = 1;
     double s = shortfall(&t, v[k]);
@@ -131,7 +133,6 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
       /* The controls have decided by what was asked for; the search keeps gear and clutch. */
       for (int i = 0; i < HS_NX; ++i) decided[i] = now[i];
       for (const int *d = hs_decisions; *d >= 0; ++d) decided[*d] = next[*d];
-      decided[HS_X_MISSED] = 0;
       t.x = decided;
       u[4] = 1;
       t.sign = s > 0 ? 1 : -1;

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from halfshaft import __version__
+from halfshaft.cosim.audit import Audit, Auditor
 from halfshaft.cosim.compiled import Array, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
@@ -41,6 +43,19 @@ class Build:
 @lru_cache(maxsize=64)
 def _stepper(build: Build) -> Stepper:
     return stepper(model_of(build.vehicle), build.vehicle.title)
+
+
+@lru_cache(maxsize=64)
+def _auditor(build: Build) -> Auditor:
+    return Auditor(model_of(build.vehicle), _stepper(build).step)
+
+
+def audit_of(vehicle: Vehicle, samples: Samples, rows: Array) -> Audit:
+    """Return the audit of a run of the vehicle's step."""
+    build = Build(vehicle)
+    stepper = _stepper(build)
+    parameters = parameters_of(vehicle, stepper.step, samples.v_start)
+    return _auditor(build)(samples, rows, stepper.first(parameters), parameters)
 
 
 @lru_cache(maxsize=8)
@@ -98,7 +113,8 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         step, samples = stepper_of(vehicle).step, cycle.sampled(dt)
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), vehicle)
+        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), vehicle)
+        return replace(result, audited=lambda: audit_of(vehicle, samples, rows))
     compiled = stepper_of(vehicle)
     samples = cycle.sampled(dt)
     march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
@@ -110,7 +126,10 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     notes = _beyond_maps(vehicle, highest, last)
     if march.unsolved:
         notes += (f"{march.unsolved} steps reach no speed at all: they are those of the hybrid mode",)
-    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, notes)
+    return Result(
+        inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, notes,
+        lambda: audit_of(vehicle, samples, rows),
+    )  # fmt: skip
 
 
 def _beyond_maps(vehicle: Vehicle, highest: Mapping[str, float], last: Mapping[str, float]) -> tuple[str, ...]:

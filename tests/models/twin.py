@@ -115,7 +115,6 @@ def drive(parameters, speeds, dt, v=0.0):
         F_dl = ((T_out_a - T_final_loss) * final.i - T_wheel_loss) / r
         w_a = w_lim / G / final.i
         F_friction = min(0.0, F_lim - F_dl) if F_lim < 0 else 0.0
-        regen, front = look(wheel.share_driveline, r * w_a), look(wheel.share_front, r * w_a)
         # The rear axle is not driven: its grip is there for its brakes alone.  What they cannot take the front ones do.
         F_rear = -min(-F_friction * (1 - clip(front / (1 - regen), 0, 1)), mu * (W - W_f))
         F_front = -min(F_rear - F_friction, mu * W_f + F_dl)
