@@ -120,7 +120,8 @@ class Battery(Component):
 
     def soc(self, charge_drawn: Expr, T: Expr) -> Expr:
         """Return the state of charge, equation (3); of what has been drawn, a cold pack with its smaller capacity has less left."""
-        return clip(1 - charge_drawn / self.capacity(T), 0, 1)
+        # The reciprocal is a constant of a pack whose capacity does not depend on the temperature.
+        return clip(1 - charge_drawn * (1 / self.capacity(T)), 0, 1)
 
     def circuit(self, soc: Expr, T: Expr, P: Expr) -> Circuit:
         """Return equation (1) for a power of this sign."""

@@ -251,10 +251,13 @@ class Wheel(Component):
         }
 
     def room(self, F_driveline: Expr, grip: Grip) -> tuple[Expr, Expr]:
-        """Return the largest friction brake forces, front and rear: what the brakes can, and the tyres beside the driveline."""
+        """Return the largest friction brake forces, front and rear: what the brakes can, and the tyres beside the driveline.
+
+        Two driven axles share the driveline's force in halves.
+        """
         p = self.p
-        adhesion = F_driveline / ca.fmax(grip.W_driven, 1e-3)
-        front, rear = grip.W_front * (p.mu_max + p.front_driven * adhesion), grip.W_rear * (p.mu_max + p.rear_driven * adhesion)
+        share = p.front_driven / (p.front_driven + p.rear_driven)
+        front, rear = p.mu_max * grip.W_front + share * F_driveline, p.mu_max * grip.W_rear + (1 - share) * F_driveline
         return clip(front, 0, p.F_brake_front_max), clip(rear, 0, p.F_brake_rear_max)
 
     def friction(self, F: Expr, v: Expr, room_front: Expr, room_rear: Expr) -> tuple[Expr, Expr]:

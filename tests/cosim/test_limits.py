@@ -65,12 +65,12 @@ def test_on_ice_the_front_wheels_accelerate_as_their_grip_allows(mu, mode):
 AXLES = {"front": (1.0, 0.0), "rear": (0.0, 1.0), "all": (1.0, 1.0)}
 
 
-@pytest.mark.parametrize("driven", AXLES)
+@pytest.mark.parametrize("axles", AXLES)
 @pytest.mark.parametrize("soc", [0.5, 1.0], ids=["half full", "full"])
 @pytest.mark.parametrize("front_share", [0.3, 0.6, 0.85])
 @both_modes
-def test_no_axle_brakes_harder_than_its_tyres_hold(driven, soc, front_share, mode):
-    front, rear = AXLES[driven]
+def test_no_axle_brakes_harder_than_its_tyres_hold(axles, soc, front_share, mode):
+    front, rear = AXLES[axles]
     set_to = {"wheel.front_driven": front, "wheel.rear_driven": rear, "body.front_share": front_share, "battery.soc_start": soc}
     car = vehicle_of(ELECTRIC).with_values({**set_to, "wheel.mu_max": 0.15})
     p = car.values
@@ -80,9 +80,8 @@ def test_no_axle_brakes_harder_than_its_tyres_hold(driven, soc, front_share, mod
     shift = p["body.h"] / p["body.wheelbase"] * p["body.m"] * 2 * (r["wheel.v_limited"] - v_before)
     W = p["body.m"] * p["body.g"]
     W_front, W_rear = front_share * W - shift, (1 - front_share) * W + shift
-    W_driven = front * W_front + rear * W_rear
-    for driving, braking, weight in ((front, "wheel.F_brake_front", W_front), (rear, "wheel.F_brake_rear", W_rear)):
-        F = driving * F_driveline * weight / W_driven + r[braking]
+    for driven, braking, weight in ((front, "wheel.F_brake_front", W_front), (rear, "wheel.F_brake_rear", W_rear)):
+        F = driven / (front + rear) * F_driveline + r[braking]
         assert np.all(r[braking] <= 0)
         assert np.all(F[r[braking] < 0] > -p["wheel.mu_max"] * weight[r[braking] < 0] - 1e-6)
     # Some braking is at the limit.

@@ -235,9 +235,9 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
      driveline's share; what one axle cannot take goes to the other. */
   const double F_driveline = (tau_final - tau_wheels - tau_bearing) / r, v_tread = r * omega_final;
   const double F_friction = F_limited < 0 ? smaller(0, F_limited - F_driveline) : 0;
-  const double used = F_driveline / larger(W_driven, 1e-3);
-  const double room_front = between(W_front * (p->wheel_mu_max + fd * used), 0, p->wheel_F_brake_front_max);
-  const double room_rear = between(W_rear * (p->wheel_mu_max + rd * used), 0, p->wheel_F_brake_rear_max);
+  const double drives = fd / (fd + rd), mu = p->wheel_mu_max;
+  const double room_front = between(mu * W_front + drives * F_driveline, 0, p->wheel_F_brake_front_max);
+  const double room_rear = between(mu * W_rear + (1 - drives) * F_driveline, 0, p->wheel_F_brake_rear_max);
   double share_front = 0.6;
   const double share = clipped(&t->wheel_share_driveline, v_asked);
   if (share < 1) share_front = between(clipped(&t->wheel_share_front, v_asked) / larger(1 - share, 1e-12), 0, 1);
