@@ -29,7 +29,7 @@ lint: .venv/.installed-dev  ## check style, format and types
 	$(BIN)/mypy -p halfshaft
 
 validate: .venv/.installed-dev  ## run the slow checks against the forward-facing model
-	$(BIN)/python -m pytest -n 2 validation/test_forward.py
+	$(BIN)/python -m pytest -n 2 validation
 
 bench: .venv/.installed-bench  ## time the step and compare it with FASTSim
 	$(BIN)/halfshaft bench
