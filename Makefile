@@ -17,8 +17,8 @@ help:  ## list the targets
 
 demo: .venv/.installed  ## drive a series hybrid over US06, as an FMU, and plot it in build/demo
 	@mkdir -p $(DEMO)
-	$(BIN)/halfshaft fmu paper-series-1936 --fmi 3 -o $(DEMO)/paper-series-1936.fmu
-	$(BIN)/halfshaft run paper-series-1936 --cycle us06 --via fmu3 --plot $(DEMO)/us06.png
+	$(BIN)/halfshaft fmu small-car-series --fmi 3 -o $(DEMO)/small-car-series.fmu
+	$(BIN)/halfshaft run small-car-series --cycle us06 --via fmu3 --plot $(DEMO)/us06.png
 
 test: .venv/.installed-dev  ## run the tests
 	$(BIN)/python -m pytest -n 2 tests

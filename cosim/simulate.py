@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -11,9 +12,10 @@ import numpy as np
 
 from halfshaft import __version__
 from halfshaft.cosim.audit import Audit, Auditor
-from halfshaft.cosim.compiled import Array, Mode, Stepper, stepper
+from halfshaft.cosim.compiled import Array, InterpretedStep, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
+from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.library.errors import InputError
 from halfshaft.library.parameters import tables
@@ -104,21 +106,25 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         problems.append(f"mode {mode} runs via step only, not via {via}")
     if problems:
         raise InputError("run", problems)
-    inputs = Inputs(vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values))
+    made = Made(vehicle, cycle, time.time())
+    inputs = Inputs(
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made)
+    )  # fmt: skip
     if via == "forward":
-        return _run_forward(vehicle, cycle, inputs)
+        return _run_forward(vehicle, cycle, inputs, made)
     if via in ("fmu2", "fmu3"):
         from halfshaft.cosim.by_fmu import march_fmu
 
         step, samples = stepper_of(vehicle).step, cycle.sampled(dt)
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), vehicle)
-        return replace(result, audited=lambda: audit_of(vehicle, samples, rows))
+        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), made)
     compiled = stepper_of(vehicle)
+    if isinstance(compiled, InterpretedStep):
+        inputs = replace(inputs, compiled=False)
     samples = cycle.sampled(dt)
     march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
-    names, first = [d.name for d in compiled.step.outputs], _first(vehicle, samples)
+    names, first = [d.name for d in compiled.step.outputs], _first(vehicle, cycle, samples)
     energies = dict(zip(names, march.sums.tolist(), strict=True))
     highest = dict(zip(names, march.highest.tolist(), strict=True))
     last = dict(zip(names, march.last.tolist(), strict=True)) | ({} if len(samples.t) else first)
@@ -126,10 +132,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     notes = _beyond_maps(vehicle, highest, last)
     if march.unsolved:
         notes += (f"{march.unsolved} steps reach no speed at all: they are those of the hybrid mode",)
-    return Result(
-        inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, notes,
-        lambda: audit_of(vehicle, samples, rows),
-    )  # fmt: skip
+    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, made, notes)
 
 
 def _beyond_maps(vehicle: Vehicle, highest: Mapping[str, float], last: Mapping[str, float]) -> tuple[str, ...]:
@@ -143,8 +146,8 @@ def _beyond_maps(vehicle: Vehicle, highest: Mapping[str, float], last: Mapping[s
     return tuple(dict.fromkeys(said.format(how, T - 273.15, end - 273.15) for how, T, end in found))
 
 
-def _first(vehicle: Vehicle, samples: Samples) -> dict[str, float]:
-    first = {"body.v": samples.v_start}
+def _first(vehicle: Vehicle, cycle: Cycle, samples: Samples) -> dict[str, float]:
+    first = {"time": float(cycle.time[0]), "body.v": samples.v_start}
     if "battery.soc_start" in vehicle.values:
         first["battery.soc"] = vehicle.values["battery.soc_start"]
     return first
@@ -160,16 +163,23 @@ def _result(
     samples: Samples,
     rows: Array,
     energies: Mapping[str, float],
-    vehicle: Vehicle,
+    made: Made,
 ) -> Result:
-    first = _first(vehicle, samples)
+    first = _first(made.vehicle, made.cycle, samples)
     names = [d.name for d in outputs]
     highest = dict(zip(names, rows.max(axis=0).tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0)
     last = dict(zip(names, rows[-1].tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0) | dict(first)
-    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last, _beyond_maps(vehicle, highest, last))
+    notes = _beyond_maps(made.vehicle, highest, last)
+    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last, made, notes)
 
 
-def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver = Driver()) -> Result:  # noqa: B008
+def _run_forward(
+    vehicle: Vehicle,
+    cycle: Cycle,
+    inputs: Inputs,
+    made: Made,
+    driver: Driver = Driver(),  # noqa: B008
+) -> Result:
     forward = _forward(Build(vehicle))
     samples = cycle.sampled(driver.dt)
     parameters = parameters_of(vehicle, forward.stepper.step, samples.v_start)
@@ -184,4 +194,4 @@ def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver 
     rows = np.column_stack([done.history, samples.v, samples.v - v, v - samples.v])
     # Powers are integrated by IDAS; of all else the sum over the samples must do.
     energies = {d.name: float(e) for d, e in zip(outputs, rows.T @ samples.dt, strict=True)} | done.energies
-    return _result(inputs, outputs, samples, rows, energies, vehicle)
+    return _result(inputs, outputs, samples, rows, energies, made)

@@ -9,10 +9,11 @@ file that is not right gives one `InputError` with every problem; places in list
 from __future__ import annotations
 
 import math
+import os
 import re
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache, cached_property
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -28,6 +29,8 @@ from halfshaft.library.component import Component
 from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.parameters import Parameters, Spec, spec_of
 from halfshaft.library.tables import Table
+from halfshaft.library.toml import toml_text, written
+from halfshaft.library.writing import written_whole
 
 SCHEMA = 1
 #: What a unit measures, for messages.
@@ -138,7 +141,7 @@ class Reader:
         """Report what is missing."""
         self.problems.extend(f"{where}{name} is missing" for name in names if name not in data)
 
-    def keys(self, data: Mapping[str, Any], known: Collection[str], where: str) -> None:
+    def keys(self, data: Iterable[str], known: Collection[str], where: str) -> None:
         """Report what is unknown."""
         self.problems.extend(f"{where}{key} is not known{nearest(key, known)}" for key in data if key not in known)
 
@@ -262,6 +265,42 @@ class ComponentFile:
     def build(self, **values: Any) -> Parameters:
         """Return the parameter set with some values added or replaced."""
         return self.component.parameters(**{**self.values, **values})
+
+    def to_toml(self) -> str:
+        """Return the component as the text of a file, in SI units; read back it gives the same bits."""
+        head = {"schema": SCHEMA, "kind": self.kind, "name": self.name, "title": self.title, "source": self.source}
+        return toml_text(head, {"parameters": written(self.component.parameters, self.values)})
+
+    def place(self, folder: Path | None = None) -> str:
+        """Return what a vehicle's file calls it: its name in the library, or its path, seen from `folder` where that is given."""
+        if str(_library().get(self.name, ("", ""))[1]) == self.path:
+            return self.name
+        return os.path.relpath(self.path, folder) if folder else os.path.abspath(self.path)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the component to a TOML file, whole or not at all; its name becomes that of the file.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or its name does not end in ``.toml``.
+
+        """
+        return save_toml(path, lambda name: replace(self, name=name).to_toml())
+
+
+def save_toml(path: str | Path, text: Callable[[str], str]) -> Path:
+    """Write `text` of the file's name, without its ending, to a file."""
+    target = Path(path)
+    if target.suffix != ".toml":
+        raise InputError(str(path), ["must end in .toml"])
+    try:
+        content = text(target.stem).encode()
+    except UnicodeEncodeError as e:
+        raise InputError(str(path), [f"{_shown(e.object[e.start : e.end])} cannot be written in UTF-8"]) from e
+    with written_whole(target) as part:
+        part.write_bytes(content)
+    return target
 
 
 def parse_quantity(value: str | float, unit: str, where: str) -> float:

@@ -18,13 +18,14 @@ from typing import Any, ClassVar, Protocol, TypeAlias, cast
 from halfshaft.library.component import Component
 from halfshaft.library.engine import EngineParameters
 from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.files import ComponentFile, Reader, component_names, read_component
+from halfshaft.library.files import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml
 from halfshaft.library.final_drive import FinalDriveParameters
 from halfshaft.library.generator import GeneratorParameters
 from halfshaft.library.motor import MotorParameters
 from halfshaft.library.parameters import Parameters, Spec, numbers, param, spec_of
 from halfshaft.library.series_control import genset_locus
 from halfshaft.library.tables import Table
+from halfshaft.library.toml import inline, quantity, toml_text, written
 from halfshaft.library.wheel import WheelParameters
 
 Parts: TypeAlias = Mapping[str, ComponentFile]
@@ -166,6 +167,35 @@ class Vehicle:
             rules=_without(self.rules, new),
         )
 
+    def to_toml(self, folder: Path | None = None) -> str:
+        """Return the vehicle as the text of a file, in SI units; read back it gives the same bits.
+
+        Parts from files of their own are named by their place, seen from `folder` where that is given.
+        """
+        head = {"schema": SCHEMA, "kind": "vehicle", "name": self.name, "title": self.title, "source": self.source}
+        derive = {}
+        for target, rule in self.rules.items():
+            values = {f.name: getattr(rule, f.name) for f in fields(cast(Parameters, rule))}
+            name = next(name for name, kind in RULES.items() if isinstance(rule, kind))
+            derive[target] = inline({"rule": name, **written(RULES[name], values)})
+        sections: dict[str, Mapping[str, Any]] = {
+            "parts": {role: part.place(folder) for role, part in self.parts.items()},
+            "set": {name: quantity(value, self.specs[name]) for name, value in self.given.items()},
+            "derive": derive,
+        }
+        return toml_text({**head, "powertrain": self.powertrain}, sections)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the vehicle to a TOML file, whole or not at all; its name becomes that of the file.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or its name does not end in ``.toml``.
+
+        """
+        return save_toml(path, lambda name: replace(self, name=name).to_toml(Path(path).parent))
+
     @classmethod
     def load(cls, source: str | Path) -> Vehicle:
         """Return a vehicle of the library by name, or of a file ending in ``.toml``."""
@@ -196,7 +226,13 @@ def _specs(parts: Parts) -> dict[str, Spec]:
 def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str, *, plain: bool = False) -> dict[str, float]:
     """Return numbers by ``role.parameter`` in SI."""
     specs = _specs(parts)
-    reader.keys(values, specs, where)
+    maps = {f"{role}.{f.name}" for role, part in parts.items() for f in fields(part.component.parameters) if spec_of(f).axes}
+    for name in (n for n in values if n in maps):
+        role = name.partition(".")[0]
+        factors = " or ".join(n for n in specs if n.startswith(f"{role}.") and n.endswith("_scale"))
+        instead = f"stretch it by {factors}, or replace the {role}" if factors else f"replace the {role}"
+        reader.problems.append(f"{where}{name} is a map, not a number: {instead}")
+    reader.keys([n for n in values if n not in maps], specs, where)
     return {name: reader.number(x, specs[name], where + name, plain=plain) for name, x in values.items() if name in specs}
 
 

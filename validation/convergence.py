@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 from halfshaft.cosim.acceleration import T_START, prepared, time_to
@@ -31,7 +32,9 @@ class Row(NamedTuple):
     task: str
     mode: Mode
     unit: str
+    #: At each length of the step; None where it failed.
     values: tuple[float | None, ...]
+    #: By IDAS; None where it did not finish, or was not asked.
     forward: float | None
 
     @property
@@ -59,10 +62,8 @@ def convergence(names: Iterable[str], *, tasks: Iterable[str] = TASKS, forward: 
         for task in tasks:
             unit, exact = "", None
             if forward:
-                try:
+                with suppress(SolveError):
                     exact, unit = measured(vehicle, task, via="forward")
-                except SolveError as error:
-                    print(f"{name}, {task}: {error}", file=sys.stderr)
             for mode in MODES:
                 values = []
                 for dt in STEPS:
@@ -82,4 +83,4 @@ def table(rows: Iterable[Row]) -> str:
 
 if __name__ == "__main__":
     named = [name for name in sys.argv[1:] if not name.startswith("--")]
-    print(table(convergence(named or vehicle_names(), forward="--without-idas" not in sys.argv)))
+    sys.stdout.write(table(convergence(named or vehicle_names(), forward="--without-idas" not in sys.argv)) + "\n")

@@ -126,11 +126,12 @@ def test_a_car_that_is_too_fast_is_not_one_that_missed_its_trace_from_below():
 
 
 @pytest.mark.parametrize("via", ["step", "fmu3"])
-def test_a_battery_beyond_the_ends_of_its_maps_says_so(via):
+def test_a_battery_beyond_the_ends_of_its_maps_says_so(via, tmp_path):
     car = vehicle_of(ELECTRIC).with_parts({"battery": "li-7ah"}).with_values({"battery.capacity_scale": 10.0})
     short = trace((0, 0), (20, 10), (40, 0))
     cold = run(car.with_values({"battery.T_start": 263.15}), short, via=via)
     assert warned(cold, "battery as cold as -10.0 degC, but maps of it are read at 0 degC, their end")
+    assert warned(type(cold).load(cold.save(tmp_path / "cold.nc")), "battery as cold as -10.0 degC")
     warm = run(car.with_values({"battery.T_start": 323.15, "battery.T_ambient": 323.15}), short, via=via)
     assert warned(warm, "battery as warm as 50.0 degC, but maps of it are read at 41 degC, their end")
     assert not warned(run(car, short, via=via), "maps")
