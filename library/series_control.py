@@ -27,7 +27,7 @@ from halfshaft.library.component import Component, State, Variable, face
 from halfshaft.library.engine import Engine, EngineParameters
 from halfshaft.library.expressions import clip, where
 from halfshaft.library.generator import Generator, GeneratorParameters
-from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.parameters import Parameters, Relation, param, table
 from halfshaft.library.ports import Expr
 from halfshaft.library.tables import Axis, Table
 
@@ -51,10 +51,7 @@ class SeriesControlParameters(Parameters):
     charge_depleting: float = param("1", "1 to start the engine only in the lower half of the window", 0.0, ge=0, le=1)
     omega_locus: Table = table("rad/s", "genset speed of least fuel, for engine scales of 1", Axis("P", "W"), clip=True, ge=0)
 
-    def check(self) -> list[str]:
-        """Return what is wrong between parameters."""
-        both = isinstance(self.soc_low, int | float) and isinstance(self.soc_high, int | float)
-        return [f"soc_low = {self.soc_low:g} must be below soc_high = {self.soc_high:g}"] if both and self.soc_low >= self.soc_high else []
+    relations = (Relation(lambda p: p.soc_low >= p.soc_high, "soc_low = {soc_low:g} must be below soc_high = {soc_high:g}"),)
 
 
 @dataclass(frozen=True)
