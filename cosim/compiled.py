@@ -41,9 +41,19 @@ class March:
     step: Step
     samples: Samples
     history: Array | None
-    totals: tuple[Array, Array] | None
+    totals: tuple[Array, Array, Array] | None
     state: Array
     evaluations: int
+    #: Steps in which the search of the refined mode, or the iteration, found no speed that is reached.
+    unsolved: int = 0
+
+    @cached_property
+    def last(self) -> Array:
+        """Outputs of the last step; zero if there was none."""
+        if self.totals is not None:
+            return self.totals[0]
+        assert self.history is not None
+        return self.history[-1] if len(self.history) else np.zeros(self.history.shape[1])
 
     @cached_property
     def sums(self) -> Array:
@@ -56,7 +66,7 @@ class March:
 
         """
         if self.totals is not None:
-            return self.totals[0]
+            return self.totals[1]
         assert self.history is not None
         return integrals(self.step.name, self.step.output_index, self.samples, self.history)
 
@@ -64,7 +74,7 @@ class March:
     def highest(self) -> Array:
         """Maximum of each output; minus infinity if there was no step."""
         if self.totals is not None:
-            return self.totals[1]
+            return self.totals[2]
         assert self.history is not None
         return np.asarray(np.max(self.history, axis=0, initial=-np.inf))
 
@@ -118,7 +128,7 @@ def _address(array: Array | None) -> int | None:
 _LONG, _PLACE = ctypes.c_long, ctypes.c_void_p
 #: Argument types of the functions in ``march.c``.
 _ARGUMENTS = {
-    "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 4, ctypes.c_int, _PLACE),
+    "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 5, ctypes.c_int, _PLACE),
     "hs_one": (_PLACE,) * 5,
     "hs_first": (_PLACE,) * 2,
 }
@@ -167,6 +177,7 @@ class CompiledStep:
             "HS_P_MISS": step.parameter_index["body.v_miss"],
             "HS_Y_REQUEST": step.output_index["body.v_request"],
             "HS_Y_MISS": step.output_index["body.trace_miss"],
+            "HS_Y_OVERSPEED": step.output_index["body.overspeed"],
         }
         defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
         decisions = [*step.decisions, -1]
@@ -219,17 +230,17 @@ class CompiledStep:
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = np.empty(n_states) if state is None else _doubles("state", state, n_states).copy()
         rows = np.empty((n, n_outputs)) if history else None
-        sums, highest = (None, None) if history else (np.empty(n_outputs), np.empty(n_outputs))
-        evaluations = ctypes.c_long()
+        totals = None if history else (np.empty(n_outputs), np.empty(n_outputs), np.empty(n_outputs))
+        counts = (ctypes.c_long * 2)()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
             n, *map(_address, (samples.dt, samples.v, samples.grade, samples.key_on)),
             0 if distance is None else len(distance), *map(_address, (distance, grade, parameters)),
-            state is not None, *map(_address, (x, rows, sums, highest)), MODES.index(mode), ctypes.byref(evaluations),
+            state is not None, *map(_address, (x, rows, *(totals or (None, None, None)))), MODES.index(mode), counts,
         )  # fmt: skip
         if done < n:
-            raise _lost(self.step.name, samples, done, self.step.output_index, sums)
-        return March(self.step, samples, rows, None if sums is None or highest is None else (sums, highest), x, evaluations.value)
+            raise _lost(self.step.name, samples, done, self.step.output_index, totals and totals[1])
+        return March(self.step, samples, rows, totals, x, *counts)
 
 
 class InterpretedStep:

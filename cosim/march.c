@@ -11,74 +11,81 @@ enum { HYBRID, REFINED, ITERATION };
 
 /* A request counts as reached when it is missed by no more than this [m/s]. */
 #define HS_REACHED 1e-9
-/* The refined end speed lies this close to the largest one that can be reached [m/s]. */
+/* The refined end speed lies this close to the best one [m/s]; in short steps closer, this acceleration times dt. */
 #define HS_CLOSE 1e-5
-/* The search may take this many steps before the plain step is kept. */
-#define HS_TRIALS 24
+#define HS_CLOSE_RATE 1e-4
+/* The search follows the slope of the shortfall for this many trials, then it bisects. */
+#define HS_SLOPES 12
+/* By then bisection has ended, from whatever speed. */
+#define HS_TRIALS 100
+/* No vehicle gains speed faster than this against its brakes [m/s^2]. */
+#define HS_FALL 100
 
 typedef struct {
   const double *x, *p, *q;
   double *u, *xn, *y;
   long evaluations;
   int failed;
+  /* 1 after a request that the vehicle is too slow for, -1 after one that it is too fast for.  A search takes all speeds times this,
+     so that it always looks for the largest one. */
+  int sign;
   /* What the last refined step taught: gain of speed, slope of the shortfall. */
   double gain, slope;
 } trial;
 
 /* Shortfall of the end speed when `v` is asked for. */
 static double shortfall(trial *t, double v) {
-  t->u[0] = v;
+  t->u[0] = t->sign * v;
   hs_step_prepared(t->x, t->u, t->p, t->q, t->xn, t->y);
   ++t->evaluations;
-  return v - t->xn[HS_X_V];
+  return v - t->sign * t->xn[HS_X_V];
 }
 
-/* Find the largest end speed that is reached when it is asked for.  The shortfall is zero up to it and positive,
-   nearly straight, above.  Leaves the step a hair above that kink, or leaves the plain step if none is found.  `s` is
-   the shortfall at the request `v`. */
-static void refine(trial *t, double v, double s) {
-  const double request = v, v_start = t->x[HS_X_V];
-  double high = v, s_high = s, low = 0, climb = 0.02;
-  double next = t->gain > 0 && v_start + t->gain < v ? v_start + t->gain : v - s;
-  for (int i = 0; i < HS_TRIALS && !t->failed; ++i) {
-    double s_next = shortfall(t, next);
+/* Return a speed that falls short of none: standstill, or what no brake is needed for. */
+static double bottom(const trial *t) { return t->sign > 0 ? 0 : -(t->x[HS_X_V] + HS_FALL * t->u[3]); }
+
+/* Find the largest end speed that is reached when it is asked for.  Up to it the shortfall is not positive, above it is, and
+   mostly straight.  Leaves the step there or a hair above; returns whether there is such a speed.  `s` is the shortfall at
+   the request `v`. */
+static int refine(trial *t, double v, double s) {
+  const double v_start = t->sign * t->x[HS_X_V], close = fmin(HS_CLOSE, HS_CLOSE_RATE * t->u[3]);
+  double low = bottom(t), high = v, s_high = s, climb = 0.02, s_next = s;
+  double next = t->gain != 0 && v_start + t->gain < v ? v_start + t->gain : v - s;
+  for (int i = 0; i < HS_TRIALS && s_high >= close && high - low >= close && !t->failed; ++i) {
+    if (i >= HS_SLOPES || !(next > low && next < high)) next = 0.5 * (low + high);
+    s_next = shortfall(t, next);
     int near = high - next < 1;
     if (s_next > HS_REACHED) {
       if (near && s_high > s_next) t->slope = (s_high - s_next) / (high - next);
       high = next;
       s_high = s_next;
-      if (s_high < HS_CLOSE) { t->gain = high - v_start; return; }
-      next = high - s_high / (t->slope > 0.1 ? t->slope : 1) + 0.3 * HS_CLOSE;
+      near = 1;
     } else {
       low = next;
-      if (high - low < HS_CLOSE) { t->gain = low - v_start; return; }
-      next = near ? high - s_high / (t->slope > 0.1 ? t->slope : 1) + 0.3 * HS_CLOSE : low + climb;
-      climb *= 4;
     }
-    if (next <= low || next >= high) next = 0.5 * (low + high);
+    next = near ? high - s_high / (t->slope > 0.1 ? t->slope : 1) + 0.3 * close : low + climb;
+    if (!near) climb *= 4;
   }
-  shortfall(t, request);
+  if (s_high >= close && s_next > HS_REACHED) s_next = shortfall(t, low);
+  t->gain = t->sign * t->xn[HS_X_V] - v_start;
+  return fabs(s_next) < close;
 }
 
 /* The same speed by bisection: the paper's benchmark. */
-static double iterate(trial *t, double v, double s) {
+static int iterate(trial *t, double v, double s) {
+  const double lowest = bottom(t);
   double high = v, low = v, width = s > 0.5 ? s : 0.5;
   do {
     high = low;
-    low = low > width ? low - width : 0;
+    low = low - width > lowest ? low - width : lowest;
     width *= 2;
-  } while (shortfall(t, low) > HS_REACHED && low > 0 && !t->failed);
-  if (t->xn[HS_X_V] < low - HS_REACHED) {
-    shortfall(t, v);
-    return v;
-  }
-  while (high - low > 1e-12 * (1 + high)) {
+  } while (shortfall(t, low) > HS_REACHED && low > lowest && !t->failed);
+  while (high - low > 1e-12 * (1 + fabs(high))) {
     double middle = 0.5 * (low + high);
     if (middle <= low || middle >= high) break;
     if (shortfall(t, middle) <= HS_REACHED) low = middle; else high = middle;
   }
-  shortfall(t, low);
-  return low;
+  return fabs(shortfall(t, low)) <= HS_REACHED;
 }
 
 static double grade_at(double s, long n, const double *distance, const double *grade) {
@@ -93,22 +100,24 @@ static double grade_at(double s, long n, const double *distance, const double *g
 }
 
 /* March `n` steps from the state `x`, or where not `started` from the start state; `x` becomes the last state.  `history`
-   holds n rows of outputs; where it is null, `sums` gets the time integrals and `highest` the maxima of all outputs.
-   Returns the number of steps done; less than n if a number was lost.  `evaluations` gets the number of calls of the
-   step. */
+   holds n rows of outputs; where it is null, `last` gets the last row, `sums` the time integrals and `highest` the maxima of all outputs.
+   Returns the number of steps done; less than n if a number was lost.  `counts` gets the number of calls of the step,
+   and of searches without success. */
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
                         const double *grade_distance, const double *grade_value, const double *p, int started, double *x,
-                        double *history, double *restrict sums, double *restrict highest, int mode, long *evaluations) {
-  double state[2][HS_NX], decided[HS_NX], row[HS_NY], u[HS_NU], q[HS_NQ];
+                        double *history, double *last, double *restrict sums, double *restrict highest, int mode, long *counts) {
+  double state[2][HS_NX], decided[HS_NX], u[HS_NU], q[HS_NQ];
   double *now = state[0], *next = state[1];
-  trial t = {0, p, q, u, 0, 0, 0, 0, 0, 1};
+  trial t = {0, p, q, u, 0, 0, 0, 0, 1, 0, 1};
+  int searched = 1;
   long k;
+  counts[1] = 0;
   if (!started) hs_start(p, x);
   t.failed = hs_prepare(p, q) | hs_lost(x, HS_NX);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
-  for (int i = 0; !history && i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
+  for (int i = 0; !history && i < HS_NY; ++i) { last[i] = sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {
-    double *y = history ? history + k * HS_NY : row;
+    double *y = history ? history + k * HS_NY : last;
     u[1] = n_grade ? grade_at(now[HS_X_DISTANCE], n_grade, grade_distance, grade_value) : grade[k];
     u[2] = key_on[k];
     u[3] = dt[k];
@@ -118,18 +127,26 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     /* A speed that was solved for was reached: the step after it has nothing to estimate. */
     if (mode != HYBRID) now[HS_X_MISSED] = 0;
     t.x = now; t.xn = next; t.y = y;
+    t.sign = 1;
     double s = shortfall(&t, v[k]);
-    if (mode != HYBRID && s > HS_REACHED) {
+    if (mode != HYBRID && fabs(s) > HS_REACHED) {
       /* The controls have decided by what was asked for; the search keeps gear and clutch. */
       for (int i = 0; i < HS_NX; ++i) decided[i] = now[i];
       for (const int *d = hs_decisions; *d >= 0; ++d) decided[*d] = next[*d];
-      decided[HS_X_MISSED] = 0;
       t.x = decided;
       u[4] = 1;
-      if (mode == REFINED) refine(&t, v[k], s); else iterate(&t, v[k], s);
+      t.sign = s > 0 ? 1 : -1;
+      if (t.sign != searched) t.gain = 0, t.slope = 1;
+      searched = t.sign;
+      if (!(mode == REFINED ? refine : iterate)(&t, t.sign * v[k], fabs(s))) {
+        /* No speed is reached at all: the plain step is kept. */
+        shortfall(&t, t.sign * v[k]);
+        ++counts[1];
+      }
       for (const int *d = hs_decisions; *d >= 0; ++d) next[*d] = decided[*d];
       y[HS_Y_REQUEST] = v[k];
       y[HS_Y_MISS] = v[k] - next[HS_X_V];
+      y[HS_Y_OVERSPEED] = -y[HS_Y_MISS];
       next[HS_X_MISSED] = y[HS_Y_MISS] > p[HS_P_MISS];
     }
     /* What is lost stays lost in a state: now and then is often enough to look. */
@@ -145,7 +162,7 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     double *swap = now; now = next; next = swap;
   }
   for (int i = 0; i < HS_NX; ++i) x[i] = now[i];
-  *evaluations = t.evaluations;
+  counts[0] = t.evaluations;
   return k;
 }
 

@@ -93,6 +93,11 @@ class Made:
     cycle: Cycle
     time: float
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is doubtful about vehicle and cycle."""
+        return (*self.vehicle.notes, *self.cycle.doubts)
+
     @cached_property
     def ratings(self) -> Ratings:
         """What the vehicle's battery and motor are rated at."""

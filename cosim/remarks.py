@@ -82,7 +82,8 @@ def remarks(result: Result, units: Units = "metric") -> tuple[str, ...]:
     """Return what a user should know, each as one line of text."""
     if not len(result.time):
         return ("the cycle has no length: nothing was run",)
-    return tuple([*_missed(result, units), *_limits(result, units), *_speeds(result), *_energies(result, units)])
+    misses = (*_missed(result, units), *_too_fast(result, units))
+    return (*misses, *_limits(result, units), *_speeds(result), *_energies(result, units), *result.notes)
 
 
 def _when(result: Result, steps: Mask) -> str:
@@ -103,6 +104,13 @@ def _missed(result: Result, units: Units) -> Iterator[str]:
         if steps.sum() > 1:
             text += f" ({_when(result, steps)})"
     yield f"{text}; {shown('way', result.energies['body.trace_miss'], units)} short of the request"
+
+
+def _too_fast(result: Result, units: Units) -> Iterator[str]:
+    most, allowed = result.highest.get("body.overspeed", 0.0), result.inputs.parameters["body.v_miss"]
+    if most > allowed:
+        text = f"too fast for the trace by up to {shown('speed', most, units, 1)}"
+        yield f"{text} at t = {result.time[int(result['body.overspeed'].argmax())]:g} s" if result.has_history else text
 
 
 def _limits(result: Result, units: Units) -> Iterator[str]:

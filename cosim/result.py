@@ -50,8 +50,6 @@ class Inputs:
     compiled: bool = True
     #: Hashes of the cycle and of the parts by role; empty for files of version 0.1.
     hashes: Mapping[str, str] = field(default_factory=dict, repr=False)
-    #: What is doubtful about the vehicle and the cycle.
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,6 +74,8 @@ class Result:
         Speed and state of charge at start and end, by output name; `first` has the time too.
     made
         What the run was made of; None for files of version 0.1.
+    notes
+        What is doubtful about vehicle, cycle and run and does not show in the outputs.
 
     """
 
@@ -88,6 +88,7 @@ class Result:
     first: Mapping[str, float]
     last: Mapping[str, float]
     made: Made | Origin | None = field(default=None, repr=False, compare=False)
+    notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Array:
         """Return one time series, shape ``(n,)``.
@@ -196,6 +197,7 @@ class Result:
             "soc_start": self.first.get("battery.soc"),
             "soc_end": self.last.get("battery.soc"),
             "trace_miss_max_mps": max(self.highest["body.trace_miss"], 0.0) if len(self.time) else 0.0,
+            "overspeed_max_mps": max(self.highest.get("body.overspeed", 0.0), 0.0) if len(self.time) else 0.0,
             "balance_relative": a.balance_relative,
             "speed_mismatch_relative": a.mismatch_relative,
         }
@@ -221,7 +223,7 @@ class Result:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know about this run."""
-        return (*remarks(self), *self.inputs.notes)
+        return remarks(self)
 
     def _plain(self) -> dict[str, Any]:
         return {
@@ -230,6 +232,7 @@ class Result:
             "inputs": {**self.inputs.__dict__, "parameters": dict(self.inputs.parameters), "hashes": dict(self.inputs.hashes)},
             "outputs": [list(d) for d in self.outputs],
             "energies": dict(self.energies), "highest": dict(self.highest), "first": dict(self.first), "last": dict(self.last),
+            "notes": list(self.notes),
         }  # fmt: skip
 
     def save(self, path: str | Path) -> Path:
@@ -270,9 +273,9 @@ class Result:
                     history = np.stack([data[d.name][()] for d in outputs], axis=1).astype(float)
                     time = data["time"][()].astype(float)
                 origin = Origin.of_plain(plain["origin"]) if plain.get("origin") else None
-                inputs = Inputs(**{**plain["inputs"], "notes": tuple(plain["inputs"].get("notes", ()))})
+                inputs = Inputs(**plain["inputs"])
                 energies, highest, first, last = (plain[x] for x in ("energies", "highest", "first", "last"))
-                result = cls(inputs, time, outputs, history, energies, highest, first, last, origin)
+                result = cls(inputs, time, outputs, history, energies, highest, first, last, origin, tuple(plain.get("notes", ())))
                 # Nothing is missing from what the summary can be made of.
                 _ = result.summary
             except InputError:

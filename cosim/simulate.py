@@ -19,6 +19,7 @@ from halfshaft.cosim.memory import check_memory
 from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.library.errors import InputError, nearest, number
+from halfshaft.library.parameters import tables
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
@@ -105,8 +106,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     dt = _checked(vehicle, cycle, via, dt, mode)
     made = Made(vehicle, cycle, time.time())
     inputs = Inputs(
-        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made),
-        notes=(*vehicle.notes, *cycle.doubts),
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made)
     )  # fmt: skip
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs, made)
@@ -117,18 +117,32 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         samples = _sampled(cycle, dt, len(step.outputs))
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, cycle, samples), made)
+        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), made)
     compiled = stepper_of(vehicle)
     if isinstance(compiled, InterpretedStep):
         inputs = replace(inputs, compiled=False)
     samples = _sampled(cycle, dt, len(compiled.step.outputs), history)
     march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
-    names = [d.name for d in compiled.step.outputs]
+    names, first = [d.name for d in compiled.step.outputs], _first(vehicle, cycle, samples)
     energies = dict(zip(names, march.sums.tolist(), strict=True))
     highest = dict(zip(names, march.highest.tolist(), strict=True))
-    last = {d.name: float(march.state[d.state]) for d in compiled.step.outputs if d.state is not None}
+    last = dict(zip(names, march.last.tolist(), strict=True)) | ({} if len(samples.t) else first)
     rows = np.empty((0, len(names))) if march.history is None else march.history
-    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, cycle, samples), last, made)
+    notes = (*made.notes, *_beyond_maps(vehicle, highest, last))
+    if march.unsolved:
+        notes += (f"{march.unsolved} steps reach no speed at all: they are those of the hybrid mode",)
+    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, made, notes)
+
+
+def _beyond_maps(vehicle: Vehicle, highest: Mapping[str, float], last: Mapping[str, float]) -> tuple[str, ...]:
+    """Tell where the battery was colder or warmer than its maps, where those depend on the temperature."""
+    if not highest.get("battery.T", 0) > 0:
+        return ()  # No battery, or no step.
+    axes = [t.points[0] for _, t in tables(vehicle.parameters["battery"]) if np.any(np.diff(t.values, axis=0))]
+    coldest, warmest = (f(vehicle.values["battery.T_start"], T["battery.T"]) for f, T in ((min, last), (max, highest)))
+    found = [("cold", coldest, x[0]) for x in axes if coldest < x[0]] + [("warm", warmest, x[-1]) for x in axes if warmest > x[-1]]
+    said = "battery as {} as {:.1f} degC, but maps of it are read at {:g} degC, their end"
+    return tuple(dict.fromkeys(said.format(how, T - 273.15, end - 273.15) for how, T, end in found))
 
 
 def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> float:
@@ -174,13 +188,14 @@ def _result(
     samples: Samples,
     rows: Array,
     energies: Mapping[str, float],
-    first: Mapping[str, float],
     made: Made,
 ) -> Result:
+    first = _first(made.vehicle, made.cycle, samples)
     names = [d.name for d in outputs]
     highest = dict(zip(names, rows.max(axis=0).tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0)
     last = dict(zip(names, rows[-1].tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0) | dict(first)
-    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last, made)
+    notes = (*made.notes, *_beyond_maps(made.vehicle, highest, last))
+    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last, made, notes)
 
 
 def _run_forward(
@@ -198,10 +213,11 @@ def _run_forward(
         *forward.plant.shown,
         Description("body.v_request", "m/s", "requested speed"),
         Description("body.trace_miss", "m/s", "request less achieved speed"),
+        Description("body.overspeed", "m/s", "achieved less requested speed"),
     )
     v = done.history[:, [d.name for d in forward.plant.shown].index("body.v")]
-    rows = np.column_stack([done.history, samples.v, samples.v - v])
+    rows = np.column_stack([done.history, samples.v, samples.v - v, v - samples.v])
     # Powers are integrated by IDAS; of all else the sum over the samples must do.
     names = [d.name for d in outputs]
     energies = dict(zip(names, integrals(forward.plant.name, names, samples, rows).tolist(), strict=True)) | done.energies
-    return _result(inputs, outputs, samples, rows, energies, _first(vehicle, cycle, samples), made)
+    return _result(inputs, outputs, samples, rows, energies, made)

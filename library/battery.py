@@ -4,8 +4,8 @@ For N modules in series::
 
     U_oc = N u_oc(T, soc),   R = N r(T, soc) / capacity_scale                (1), r of discharging or charging by the sign of P
     P    = U I = (U_oc - R I) I                                              (2), solved for I
-    d soc/dt = -I / Q discharging, -eta_c I / Q charging                     (3)
-    P_loss   = R I^2 + (1 - eta_c) U_oc |I| while charging                   (4)
+    d D/dt = I discharging, eta_c I charging;   soc = 1 - D / Q(T)           (3), D the charge drawn
+    P_loss = R I^2 + (1 - eta_c) U_oc |I| while charging                     (4)
 
 Limits: the voltage stays between U_min (no lower than half of U_oc, where the power is largest) and U_max; an empty
 pack gives nothing; a full one takes nothing.  Each module warms by its loss and is cooled by air::
@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from halfshaft.library.component import Component, State, Variable, face, plant
-from halfshaft.library.expressions import where
+from halfshaft.library.expressions import clip, where
 from halfshaft.library.motor import MotorParameters
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Electric, Expr, Port
@@ -93,11 +93,12 @@ class Battery(Component):
     parameters = BatteryParameters
     dc = Port(Electric, "wheel")
     states = (
-        State("soc", "1", "state of charge", signal=True, shown=True),
+        State("charge_drawn", "C", "charge drawn from the full pack", shown=True),
         State("T", "K", "temperature of the modules", shown=True),
         State("U_supply", "V", "voltage at the end of the previous step", signal=True),
     )
     variables = (
+        Variable("soc", "1", "state of charge"),
         Variable("U", "V", "terminal voltage", signal=True),
         Variable("I", "A", "current"),
         Variable("P_stored", "W", "power drawn from the chemical store", "stored"),
@@ -110,7 +111,17 @@ class Battery(Component):
     def start(self) -> Mapping[str, Any]:
         """Return the start values."""
         p = self.p
-        return {"soc": p.soc_start, "T": p.T_start, "U_supply": p.n_modules * p.u_oc(p.T_start, p.soc_start)}
+        drawn = (1 - p.soc_start) * self.capacity(p.T_start)
+        return {"charge_drawn": drawn, "T": p.T_start, "U_supply": p.n_modules * p.u_oc(p.T_start, p.soc_start)}
+
+    def capacity(self, T: Expr) -> Expr:
+        """Return the charge of a full pack [C]."""
+        return self.p.capacity_scale * self.p.Q(T)
+
+    def soc(self, charge_drawn: Expr, T: Expr) -> Expr:
+        """Return the state of charge, equation (3); of what has been drawn, a cold pack with its smaller capacity has less left."""
+        # The reciprocal is a constant of a pack whose capacity does not depend on the temperature.
+        return clip(1 - charge_drawn * (1 / self.capacity(T)), 0, 1)
 
     def circuit(self, soc: Expr, T: Expr, P: Expr) -> Circuit:
         """Return equation (1) for a power of this sign."""
@@ -137,62 +148,69 @@ class Battery(Component):
         loss = stored - (circuit.U_oc - circuit.R * current) * current
         R_th = where(p.T_fan < T, p.R_th_fan + 1 / (2 * p.airflow * C_AIR), p.R_th_still)
         return {
-            "soc": -eta * current / (p.capacity_scale * p.Q(T)),
+            "charge_drawn": eta * current,
             "T": (loss / p.n_modules - (T - p.T_ambient) / R_th) / (p.mass * p.c_p),
             "P_stored": stored,
             "P_loss": loss,
         }
 
-    plant_states = ((states[0], "soc"), (states[1], "T"))
-    laws = ("P_room_out", "P_room_in")
+    plant_states = ((states[0], "charge_drawn"), (states[1], "T"))
+    laws = ("P_room_out", "P_room_in", "soc_before")
 
-    @face("P_battery_max", "P_battery_min", "_limits")
-    def limits(self, soc: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
-        """Publish the limits, which the control of a series hybrid looks at."""
+    @face("P_battery_max", "P_battery_min", "soc_before", "_limits")
+    def limits(self, charge_drawn: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
+        """Publish the state of charge at the start of the step and the limits, which the control of a series hybrid looks at."""
+        soc = self.soc(charge_drawn, T)
         limits = self.limits_at(soc, T, motor)
-        return {"P_battery_max": limits.P_max, "P_battery_min": limits.P_min, "_limits": limits}
+        return {"P_battery_max": limits.P_max, "P_battery_min": limits.P_min, "soc_before": soc, "_limits": limits}
 
-    @face("dc", "U", "I", "P_stored", "P_loss", "battery_limited", "next_soc", "next_T", "next_U_supply")
-    def available(self, dc: Electric, _limits: Limits, soc: Expr, T: Expr, dt: Expr) -> Mapping[str, Any]:
+    @face("dc", "soc", "U", "I", "P_stored", "P_loss", "battery_limited", "next_charge_drawn", "next_T", "next_U_supply")
+    def available(self, dc: Electric, _limits: Limits, soc_before: Expr, charge_drawn: Expr, T: Expr, dt: Expr) -> Mapping[str, Any]:
         """Return the power that the battery gives."""
         P = ca.fmin(dc.P, ca.fmax(0, _limits.P_max))
-        P = where(ca.logic_and(soc >= SOC_FULL, dc.P < 0), 0, P)
-        circuit = self.circuit(soc, T, dc.P)
+        P = where(ca.logic_and(soc_before >= SOC_FULL, dc.P < 0), 0, P)
+        circuit = self.circuit(soc_before, T, dc.P)
         current = ca.fmax(circuit.current(P), _limits.I_min)
         U = circuit.U_oc - circuit.R * current
         rates = self.rates(circuit, current, T)
         limited = ca.logic_or(P != dc.P, circuit.current(P) < _limits.I_min)
+        next_drawn, next_T = charge_drawn + dt * rates["charge_drawn"], T + dt * rates["T"]
         return {
             # Inside the limits the power is what was asked for, not I U, so that nothing is lost to rounding.
             "dc": Electric(where(limited, U * current, dc.P)),
+            "soc": self.soc(next_drawn, next_T),
             "U": U,
             "I": current,
             "P_stored": rates["P_stored"],
             "P_loss": rates["P_loss"],
             "battery_limited": limited,
-            "next_soc": soc + dt * rates["soc"],
-            "next_T": T + dt * rates["T"],
+            "next_charge_drawn": next_drawn,
+            "next_T": next_T,
             "next_U_supply": U,
         }
 
-    def audit(self, dc: Electric, soc: Expr, next_soc: Expr, T: Expr, dt: Expr, P_stored: Expr, P_loss: Expr) -> Mapping[str, Any]:
+    def audit(
+        self, dc: Electric, charge_drawn: Expr, next_charge_drawn: Expr, T: Expr, dt: Expr, P_stored: Expr, P_loss: Expr
+    ) -> Mapping[str, Any]:
         """Compare store and loss with the circuit's at the terminal power, equations (2) and (4), and with the charge that left."""
-        circuit = self.circuit(soc, T, dc.P)
+        circuit = self.circuit(self.soc(charge_drawn, T), T, dc.P)
         I = circuit.current(dc.P)  # noqa: E741
         charging = where(I < 0, (1 - self.p.eta_coulomb(T)) * circuit.U_oc * -I, 0)
         loss = circuit.R * I**2 + charging
-        drawn = self.p.capacity_scale * self.p.Q(T) * (soc - next_soc)
+        drawn = next_charge_drawn - charge_drawn
         return {"R I^2": P_loss - loss, "store": P_stored - dc.P - loss, "charge": P_stored - circuit.U_oc * drawn / dt}
 
-    @plant("der_soc", "der_T", "U", "I", "P_stored", "P_loss", "P_room_out", "P_room_in")
-    def flow(self, dc: Electric, soc: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
+    @plant("der_charge_drawn", "der_T", "soc", "U", "I", "P_stored", "P_loss", "P_room_out", "P_room_in")
+    def flow(self, dc: Electric, charge_drawn: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
         """Return the rates in continuous time, and how far the power is from its limits."""
+        soc = self.soc(charge_drawn, T)
         limits, circuit = self.limits_at(soc, T, motor), self.circuit(soc, T, dc.P)
         current = circuit.current(dc.P)
         rates = self.rates(circuit, current, T)
         return {
-            "der_soc": rates["soc"],
+            "der_charge_drawn": rates["charge_drawn"],
             "der_T": rates["T"],
+            "soc": soc,
             # No power lies beyond half of the open-circuit voltage; the solver may look there, but must not settle there.
             "U": ca.fmax(circuit.U_oc - circuit.R * current, 0.5 * circuit.U_oc),
             "I": current,

@@ -83,6 +83,7 @@ class Body(Component):
         Variable("F_required", "N", "force that the request needs, before any limit"),
         Variable("v_mean", "m/s", "mean speed of the step"),
         Variable("trace_miss", "m/s", "request less achieved speed"),
+        Variable("overspeed", "m/s", "achieved less requested speed"),
         Variable("P_aero", "W", "power lost to air drag", "loss"),
         Variable("P_roll", "W", "power lost to rolling resistance", "loss"),
         Variable("P_climb", "W", "rate of change of potential energy", "potential"),
@@ -120,7 +121,7 @@ class Body(Component):
         return {"tyre": asked, "_asked": asked, "v_request": v_request, "a_request": a, "F_required": F, "_resistance": resistance}
 
     @face(
-        "v_mean", "trace_miss", "next_v", "next_distance", "next_elevation", "next_trace_missed", "next_speed_ratio",
+        "v_mean", "trace_miss", "overspeed", "next_v", "next_distance", "next_elevation", "next_trace_missed", "next_speed_ratio",
         "P_aero", "P_roll", "P_climb", "P_kinetic", "P_mismatch", "P_limit",
     )  # fmt: skip
     def available(
@@ -146,6 +147,7 @@ class Body(Component):
         return {
             "v_mean": v_mean,
             "trace_miss": v_request - v_end,
+            "overspeed": v_end - v_request,
             "next_v": v_end,
             "next_distance": distance + v_mean * dt,
             "next_elevation": elevation + v_mean * dt * grade / ca.sqrt(1 + grade**2),

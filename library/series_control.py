@@ -99,7 +99,7 @@ class SeriesControl(Component):
         *(f"next_part_{i}" for i in range(1, PARTS + 1)),
     )  # fmt: skip
     def control(
-        self, P_bus: Expr, soc: Expr, P_battery_max: Expr, P_battery_min: Expr, key_on: Expr, dt: Expr, engine: Engine,
+        self, P_bus: Expr, soc_before: Expr, P_battery_max: Expr, P_battery_min: Expr, key_on: Expr, dt: Expr, engine: Engine,
         generator: Generator, on_before: Expr, t_on: Expr, t_off: Expr, P_before: Expr, turned_before: Expr,
         part_time: Expr, part_energy: Expr, part_1: Expr, part_2: Expr, part_3: Expr, part_4: Expr, part_5: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
@@ -118,12 +118,12 @@ class SeriesControl(Component):
         P_supply = where(P_bus > 0, P_supply / ca.fmax(eta, 1e-6), 0)
 
         middle, half = (p.soc_high + p.soc_low) / 2, (p.soc_high - p.soc_low) / 2
-        P_charge = p.P_charge * clip((middle - soc) / half, -1, 1)
+        P_charge = p.P_charge * clip((middle - soc_before) / half, -1, 1)
         P_charge = where(P_bus <= 0, ca.fmin(P_bus - P_battery_min, P_charge), P_charge)
         P_asked = P_supply + P_charge
 
         P = ca.fmax(P_asked, P_min)
-        P = where(ca.logic_and(ca.logic_not(short), soc >= p.soc_low), ca.fmin(P, P_max), P)
+        P = where(ca.logic_and(ca.logic_not(short), soc_before >= p.soc_low), ca.fmin(P, P_max), P)
         P = where(P_before < 0, P, clip(P, P_before - p.P_fall * dt, P_before + p.P_rise * dt))
 
         parts = [part_1, part_2, part_3, part_4, part_5]
@@ -131,9 +131,9 @@ class SeriesControl(Component):
         # The present step counts; the one after a stop begins to count at 0.
         off = where(t_off < 0, 0, t_off + dt)
         restart = ca.logic_and(off >= p.t_off_min - 1e-9, average >= 1.2 * P_min)
-        wanted = ca.logic_or(ca.logic_or(on_before, restart), soc <= p.soc_low)
-        wanted = ca.logic_and(wanted, ca.logic_or(soc <= p.soc_high, P_asked >= P_min))
-        wanted = ca.logic_and(wanted, ca.logic_or(ca.logic_not(p.charge_depleting), soc <= middle))
+        wanted = ca.logic_or(ca.logic_or(on_before, restart), soc_before <= p.soc_low)
+        wanted = ca.logic_and(wanted, ca.logic_or(soc_before <= p.soc_high, P_asked >= P_min))
+        wanted = ca.logic_and(wanted, ca.logic_or(ca.logic_not(p.charge_depleting), soc_before <= middle))
         full = ca.logic_and(P_min > P_bus - P_battery_min, P_bus < 0)
         on = ca.logic_and(ca.logic_and(key_on, ca.logic_or(wanted, short)), ca.logic_not(full))
 

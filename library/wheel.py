@@ -8,7 +8,8 @@
 
 *Required* cuts the request to the grip of the driven axle (paper eq. 2, 3), splits braking between driveline and
 friction brakes by speed, and applies (1) and (2).  *Available* returns the driveline's force, adds the friction brakes
-that the request still needs, and where a speed limit acted turns (1) round (paper eq. 12).
+that the request still needs within the grip, and where a speed limit acted turns (1) round (paper eq. 12).  No axle
+brakes harder than its tyres hold: what one cannot take goes to the other.
 
 ``alpha`` is the acceleration of the required mean speed at the present slip.  The slip's rate is neglected, as in the
 forward-facing model: in a short step a jump of slip would take more torque than there is.  Drag inside the grip limit is
@@ -65,6 +66,8 @@ class Grip(NamedTuple):
 
     F: Expr
     v: Expr
+    W_front: Expr
+    W_rear: Expr
     W_driven: Expr
     limited: Expr
 
@@ -136,7 +139,7 @@ class Wheel(Component):
         W_driven = p.front_driven * front + p.rear_driven * rear
         F_max = p.mu_max * W_driven
         F = clip(tyre.F, -F_max, F_max)
-        return Grip(F, v_mean, W_driven, F != tyre.F)
+        return Grip(F, v_mean, front, rear, W_driven, F != tyre.F)
 
     def split(self, F: Expr, v: Expr) -> Split:
         """Return the driveline's share of a force and the force on the driven axle.
@@ -206,14 +209,14 @@ class Wheel(Component):
             tread = deliver(link, asked, sent, tread)
         (_, at_tread, after_bearing), (_, _, at_axle) = _way
         F_driveline = where(tread.tau == at_tread.tau, _split.driveline, tread.tau / p.r)
-        F_friction = where(_asked.F < 0, ca.fmin(0, _asked.F - F_driveline), 0)
-        F_front, F_rear = self.friction(F_friction, _asked.v)
+        # Brakes within their limits bring just what the request still needs, as far as the tyres hold it.
+        F_needed = where(_grip.F < 0, ca.fmin(_grip.F, F_driveline), F_driveline)
+        room_front, room_rear = self.room(F_driveline, _grip)
+        F = ca.fmax(F_needed, F_driveline - room_front - room_rear)
+        F_front, F_rear = self.friction(F_needed - F_driveline, _asked.v, room_front, room_rear)
         F_driven = F_driveline + where(p.front_driven, F_front, 0) + where(p.rear_driven, F_rear, 0)
         v_driveline = p.r * axle.omega / (1 + self.slip(F_driven, _grip.W_driven))
         v_tyre = where(ca.fabs(at_axle.omega - axle.omega) > 1e-3, v_driveline, _grip.v)
-        # Brakes within their limits bring just what is asked for.
-        full = ca.logic_and(F_front > -p.F_brake_front_max, F_rear > -p.F_brake_rear_max)
-        F = where(full, where(_asked.F < 0, ca.fmin(_asked.F, F_driveline), F_driveline), F_driveline + F_front + F_rear)
         J_alpha = at_axle.tau - after_bearing.tau
         kinetic = J_alpha * (at_axle.omega - at_axle.alpha * dt / 2)
         return {
@@ -248,13 +251,23 @@ class Wheel(Component):
             "bearings": P_bearing - bearing,
         }
 
-    def friction(self, F: Expr, v: Expr) -> tuple[Expr, Expr]:
-        """Return the friction brake forces, front and rear, that make up `F` (negative) at the speed `v`."""
+    def room(self, F_driveline: Expr, grip: Grip) -> tuple[Expr, Expr]:
+        """Return the largest friction brake forces, front and rear: what the brakes can, and the tyres beside the driveline.
+
+        Two driven axles share the driveline's force in halves.
+        """
+        p = self.p
+        share = p.front_driven / (p.front_driven + p.rear_driven)
+        front, rear = p.mu_max * grip.W_front + share * F_driveline, p.mu_max * grip.W_rear + (1 - share) * F_driveline
+        return clip(front, 0, p.F_brake_front_max), clip(rear, 0, p.F_brake_rear_max)
+
+    def friction(self, F: Expr, v: Expr, room_front: Expr, room_rear: Expr) -> tuple[Expr, Expr]:
+        """Return the friction brake forces, front and rear, that make up `F` (negative) at the speed `v` within their room."""
         p = self.p
         driveline = p.share_driveline(v)
         share = where(driveline < 1, clip(p.share_front(v) / ca.fmax(1 - driveline, 1e-12), 0, 1), 0.6)
-        front = ca.fmax(share * F, -p.F_brake_front_max)
-        return front, ca.fmax(ca.fmin(0, F - front), -p.F_brake_rear_max)
+        front = ca.fmax(ca.fmin(share * F, F + room_rear), -room_front)
+        return front, ca.fmax(F - front, -room_rear)
 
     @plant("axle", "P_brake", "P_slip", "P_bearing", "P_kinetic")
     def flow(

@@ -93,7 +93,7 @@ SLIPS = [
     (Wheel, "available", "P_brake", ELECTRIC, "brakes"),
     (Wheel, "available", "P_bearing", ELECTRIC, "bearings"),
     (Battery, "rates", "P_loss", ELECTRIC, "R I^2"),
-    (Battery, "rates", "soc", ELECTRIC, "charge"),
+    (Battery, "rates", "charge_drawn", ELECTRIC, "charge"),
     (Battery, "rates", "P_stored", ELECTRIC, "store"),
     (Bus, "available", "load", ELECTRIC, "sum"),
     (Generator, "available", "dc", SERIES, "map"),

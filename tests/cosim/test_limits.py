@@ -62,11 +62,88 @@ def test_on_ice_the_front_wheels_accelerate_as_their_grip_allows(mu, mode):
     assert np.diff(result["body.v"])[1:] == pytest.approx(np.full(48, a * 0.1), abs=2e-5)
 
 
+AXLES = {"front": (1.0, 0.0), "rear": (0.0, 1.0), "all": (1.0, 1.0)}
+
+
+@pytest.mark.parametrize("axles", AXLES)
+@pytest.mark.parametrize("soc", [0.5, 1.0], ids=["half full", "full"])
+@pytest.mark.parametrize("front_share", [0.3, 0.6, 0.85])
+@both_modes
+def test_no_axle_brakes_harder_than_its_tyres_hold(axles, soc, front_share, mode):
+    front, rear = AXLES[axles]
+    set_to = {"wheel.front_driven": front, "wheel.rear_driven": rear, "body.front_share": front_share, "battery.soc_start": soc}
+    car = vehicle_of(ELECTRIC).with_values({**set_to, "wheel.mu_max": 0.15})
+    p = car.values
+    r = run(car, trace((0, 0), (40, 25), (46, 0), (60, 0), (80, 20), (84, 0), (90, 0)), mode=mode)
+    F_driveline = r["wheel.F"] - r["wheel.F_brake_front"] - r["wheel.F_brake_rear"]
+    v_before = np.append(0.0, r["body.v"][:-1])
+    shift = p["body.h"] / p["body.wheelbase"] * p["body.m"] * 2 * (r["wheel.v_limited"] - v_before)
+    W = p["body.m"] * p["body.g"]
+    W_front, W_rear = front_share * W - shift, (1 - front_share) * W + shift
+    for driven, braking, weight in ((front, "wheel.F_brake_front", W_front), (rear, "wheel.F_brake_rear", W_rear)):
+        F = driven / (front + rear) * F_driveline + r[braking]
+        assert np.all(r[braking] <= 0)
+        assert np.all(F[r[braking] < 0] > -p["wheel.mu_max"] * weight[r[braking] < 0] - 1e-6)
+    # Some braking is at the limit.
+    assert r["wheel.slip_limited"][r["wheel.F"] < 0].any()
+    assert warned(r, "too fast for the trace")
+    assert balanced(r)
+
+
+@both_modes
+def test_a_stop_takes_no_more_from_the_car_than_its_motion(mode):
+    car = vehicle_of(ELECTRIC)
+    stop = trace((0, 30), (20, 30), (22, 0), (30, 0))
+    result = run(car, stop, mode=mode)
+    braking = result.time > 20
+    p = car.values
+    rotors = (p["wheel.J"] + p["motor.J"] * (p["gearbox.ratios_1"] * p["final_drive.i"]) ** 2) / p["wheel.r"] ** 2
+    motion = 0.5 * (p["body.m"] + rotors) * 30**2
+    lost = result["wheel.P_brake"][braking].sum()
+    # The motor's share and the drag are not the pads'.
+    assert 0.5 * motion < lost < motion
+    given = result["battery.P_stored"][braking].sum()
+    losses = sum(result[d.name][braking].sum() for d in result.outputs if d.booking == "loss")
+    # Rotors slip, and their work is one of difference quotients.
+    assert losses - given == pytest.approx(motion, rel=0.02)
+
+
+@both_modes
+def test_a_light_tyre_does_not_multiply_the_work_of_the_brakes(mode):
+    result = run(vehicle_of(ELECTRIC).with_values({"wheel.mu_max": 0.1}), cycle_of("us06"), mode=mode)
+    lost = sum(E for E in result.account.losses.values())
+    # Force that no tyre holds was 1124 Wh, more than the car used.
+    assert abs(result.account.speed_limit) < 1e-3 * lost
+    assert 0 < result.energies["wheel.P_brake"] < 110 * 3600
+
+
+def test_a_car_that_is_too_fast_is_not_one_that_missed_its_trace_from_below():
+    result = run(vehicle_of(ELECTRIC).with_values({"wheel.mu_max": 0.15}), trace((0, 20), (2, 20), (6, 0), (40, 0)), history=False)
+    assert result.highest["body.overspeed"] > 5
+    assert warned(result, f"too fast for the trace by up to {3.6 * result.highest['body.overspeed']:.1f} km/h")
+    assert not warned(result, "trace missed")
+    assert result.summary["overspeed_max_mps"] == result.highest["body.overspeed"]
+
+
+@pytest.mark.parametrize("via", ["step", "fmu3"])
+def test_a_battery_beyond_the_ends_of_its_maps_says_so(via, tmp_path):
+    car = vehicle_of(ELECTRIC).with_parts({"battery": "li-7ah"}).with_values({"battery.capacity_scale": 10.0})
+    short = trace((0, 0), (20, 10), (40, 0))
+    cold = run(car.with_values({"battery.T_start": 263.15}), short, via=via)
+    assert warned(cold, "battery as cold as -10.0 degC, but maps of it are read at 0 degC, their end")
+    assert warned(type(cold).load(cold.save(tmp_path / "cold.nc")), "battery as cold as -10.0 degC")
+    warm = run(car.with_values({"battery.T_start": 323.15, "battery.T_ambient": 323.15}), short, via=via)
+    assert warned(warm, "battery as warm as 50.0 degC, but maps of it are read at 41 degC, their end")
+    assert not warned(run(car, short, via=via), "maps")
+    # Maps that do not depend on the temperature have no end.
+    assert not warned(run(vehicle_of(ELECTRIC).with_values({"battery.T_start": 263.15}), short, via=via), "maps")
+
+
 @both_modes
 def test_a_car_with_an_empty_battery_stays_where_it_is(mode):
     result = run(vehicle_of(ELECTRIC).with_values({"battery.soc_start": 0.0005}), cycle_of("udds"), mode=mode)
     assert np.all(result["body.v"] == 0)
-    assert np.all(result["battery.soc"] == 0.0005)
+    assert result["battery.soc"] == pytest.approx(np.full(1369, 0.0005), rel=1e-12)
     assert np.all(result["battery.P_stored"] == 0)
     assert balanced(result)
     for text in ("trace missed", "battery limit reached", "battery empty"):

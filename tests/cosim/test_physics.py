@@ -164,15 +164,20 @@ def pack(**values):
     return Battery(replace(base, **{**ideal_battery(r=0.1, eta=0.9), **values}))
 
 
+def idle(battery, P=0.0):
+    """Return the electric car with this pack, whose only load is that of the accessories."""
+    parts = CAR.components()
+    parts["battery"] = battery
+    parts["accessories"] = replace(parts["accessories"], p=replace(parts["accessories"].p, P_on=P, eta=1.0))
+    return parts
+
+
 STILL = Cycle(name="still", time=np.array([0.0, 600.0]), speed=np.zeros(2))
 
 
 @pytest.mark.parametrize("P", [500.0, 20e3])
 def test_a_pack_under_constant_power_empties_in_a_straight_line(P):
-    parts = CAR.components()
-    parts["battery"] = pack()
-    parts["accessories"] = replace(parts["accessories"], p=replace(parts["accessories"].p, P_on=P, eta=1.0))
-    made = Made(parts)
+    made = Made(idle(pack(), P))
     series = made.run(STILL, 1.0)
     U, R = 400.0, 0.1
     current = (U - np.sqrt(U**2 - 4 * R * P)) / (2 * R)
@@ -184,19 +189,45 @@ def test_a_pack_under_constant_power_empties_in_a_straight_line(P):
 def test_a_pack_stores_the_coulombic_share_of_what_it_is_charged_with():
     battery, motor = pack(), CAR.components()["motor"].p
     limits = battery.limits_at(0.5, 293.15, motor)
-    given = {n: float(x) for n, x in battery.available(Electric(-10e3), limits, 0.5, 293.15, 1.0).items() if n != "dc"}
+    given = {n: float(x) for n, x in battery.available(Electric(-10e3), limits, 0.5, 5e5, 293.15, 1.0).items() if n != "dc"}
     current = (400 - np.sqrt(400**2 + 4 * 0.1 * 10e3)) / 0.2
     assert given["I"] == pytest.approx(current, rel=1e-12)
-    assert given["next_soc"] - 0.5 == pytest.approx(-0.9 * current / 1e6, rel=1e-9)
+    assert given["next_charge_drawn"] - 5e5 == pytest.approx(0.9 * current, rel=1e-9)
+    assert given["soc"] - 0.5 == pytest.approx(-0.9 * current / 1e6, rel=1e-9)
     assert given["P_loss"] == pytest.approx(0.1 * current**2 + 0.1 * 400 * abs(current), rel=1e-9)
 
 
+def test_a_pack_that_warms_has_the_charge_of_its_present_capacity():
+    # A quarter of 5e5 C is drawn; of 1e6 C, when the pack is warm, that is an eighth.
+    capacity = Table.of([273.15, 313.15], values=[5e5, 1e6])
+    battery = pack(Q=capacity, soc_start=0.75, T_start=273.15, T_ambient=313.15, mass=1.0, R_th_still=1e-2, T_fan=400.0)
+    made = Made(idle(battery))
+    series = made.run(STILL, 1.0)
+    assert np.all(series["battery.charge_drawn"] == 0.25 * 5e5)
+    assert series["battery.T"][-1] == pytest.approx(313.15, abs=1e-9)
+    np.testing.assert_allclose(series["battery.soc"], 1 - 0.25 * 5e5 / (5e5 + 5e5 * (series["battery.T"] - 273.15) / 40), rtol=1e-12)
+    assert series["battery.soc"][-1] == pytest.approx(0.875, abs=1e-9)
+    # Forward-facing the same.
+    forward = Forward(electric(idle(battery)))
+    done = forward.run(STILL.sampled(forward.driver.dt), made.parameters)
+    soc = done.history[:, [d.name for d in forward.plant.shown].index("battery.soc")]
+    assert soc[-1] == pytest.approx(0.875, abs=1e-6)
+
+
+def test_more_modules_side_by_side_have_more_charge_and_less_resistance():
+    # Two strings of the pack: each carries half of the current.
+    one, two = (Made(idle(pack(capacity_scale=n), P=n * 10e3)) for n in (1.0, 2.0))
+    series_1, series_2 = one.run(STILL, 1.0), two.run(STILL, 1.0)
+    np.testing.assert_allclose(series_2["battery.I"], 2 * series_1["battery.I"], rtol=1e-12)
+    np.testing.assert_allclose(series_2["battery.U"], series_1["battery.U"], rtol=1e-12)
+    np.testing.assert_allclose(series_2["battery.soc"], series_1["battery.soc"], rtol=1e-12)
+    np.testing.assert_allclose(series_2["battery.charge_drawn"], 2 * series_1["battery.charge_drawn"], rtol=1e-12)
+    assert series_1["battery.soc"][-1] < 0.59
+
+
 def test_a_pack_warms_exponentially_with_first_order_in_the_step():
-    parts = CAR.components()
-    parts["battery"] = pack(T_fan=400.0)
-    P = 20e3
-    parts["accessories"] = replace(parts["accessories"], p=replace(parts["accessories"].p, P_on=P, eta=1.0))
-    made, p = Made(parts), parts["battery"].p
+    P, battery = 20e3, pack(T_fan=400.0)
+    made, p = Made(idle(battery, P)), battery.p
     current = (400 - np.sqrt(400**2 - 4 * 0.1 * P)) / 0.2
     tau = p.R_th_still * p.mass * p.c_p
     exact = 293.15 + 0.1 * current**2 * p.R_th_still * (1 - np.exp(-600 / tau))

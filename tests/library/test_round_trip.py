@@ -236,10 +236,11 @@ def battery_case(name, seed, **values):
     part, motor = component(name, **values), component("pm-32kw").p
     x = ca.SX.sym("x", 3)  # power, state of charge, temperature
     P, soc, T = ca.vertsplit(x)
-    given = part.available(Electric(P), part.limits_at(soc, T, motor), soc, T, DT)
-    flow = part.flow(Electric(P), soc, T, motor)
-    ends = ca.vertcat(given["I"], given["U"], (given["next_soc"] - soc) / DT, (given["next_T"] - T) / DT)
-    rates = ca.vertcat(flow["I"], flow["U"], flow["der_soc"], flow["der_T"])
+    drawn = (1 - soc) * part.capacity(T)
+    given = part.available(Electric(P), part.limits_at(soc, T, motor), soc, drawn, T, DT)
+    flow = part.flow(Electric(P), drawn, T, motor)
+    ends = ca.vertcat(given["I"], given["U"], (given["next_charge_drawn"] - drawn) / DT, (given["next_T"] - T) / DT)
+    rates = ca.vertcat(flow["I"], flow["U"], flow["der_charge_drawn"], flow["der_T"])
     rng = random(seed)
     soc_T = np.column_stack([rng.uniform(0.01, 0.99, N), rng.uniform(263, 323, N)])
     limits = part.limits_at(soc, T, motor)

@@ -17,7 +17,10 @@ CARS = {
     "heavy": {"body.m": 2400.0},
     "map read as the original does": {"gearbox.omega_lookup": 0.0, "gearbox.e_lowest": 0.0},
     "half empty": {"battery.soc_start": 0.3},
+    "half the pack": {"battery.soc_start": 0.9, "battery.capacity_scale": 0.5},
     "little current": {"motor.I_max": 80.0},
+    "on ice": {"wheel.mu_max": 0.15},
+    "on ice, light at the rear and full": {"wheel.mu_max": 0.2, "body.front_share": 0.85, "battery.soc_start": 1.0},
     "slow motor": {"motor.speed_scale": 0.6, "motor.torque_scale": 1.4, "motor.efficiency_scale": 0.9, "gearbox.ratios_1": 6.0},
     "losses in the final drive": {
         "final_drive.i": 2.0,

@@ -2,7 +2,8 @@
 
 Written from the paper's equations and the block diagrams of the original, with the departures that halfshaft documents: no
 cap on inertia torques, generating torques cut to the generating envelope, the same loss where a gearbox has no useful
-ratio, and reversed torque that loses its share too.  Flat road, one fixed gear, front drive, no limit of the brakes.
+ratio, reversed torque that loses its share too, and brakes that the tyres hold.  Flat road, one fixed gear, front drive, no
+limit of the brakes themselves.
 """
 
 import math
@@ -36,6 +37,7 @@ def drive(parameters, speeds, dt, v=0.0):
     )
     m, W, aero, r, G = body.m, body.m * body.g, 0.5 * body.rho * body.c_d * body.A, wheel.r, gearbox.ratios[0]
     N, h = pack.n_modules, body.h / body.wheelbase
+    drawn = (1 - pack.soc_start) * pack.capacity_scale * look(pack.Q, pack.T_start)
     soc, T, missed, ratio, w_motor_before, v_lim_before = pack.soc_start, pack.T_start, False, 0.0, 0.0, v
     U = N * look(pack.u_oc, T, soc)
     records = []
@@ -101,8 +103,10 @@ def drive(parameters, speeds, dt, v=0.0):
         P_pack = U * current
         stored = U_oc * eta * current
         R_th = pack.R_th_fan + 1 / (2 * pack.airflow * 1009) if T > pack.T_fan else pack.R_th_still
-        soc -= dt * eta * current / (pack.capacity_scale * look(pack.Q, T))
+        drawn += dt * eta * current
         T += dt * ((stored - P_pack) / N - (T - pack.T_ambient) / R_th) / (pack.mass * pack.c_p)
+        capacity = pack.capacity_scale * look(pack.Q, T)
+        soc = clip((capacity - drawn) / capacity, 0, 1)
 
         # And back: bus, accessories first, motor by ratio of powers, gearbox by ratio of torques, the rest by torque.
         P_load = min(P_pack, max(P_bus, 0.0))
@@ -111,9 +115,11 @@ def drive(parameters, speeds, dt, v=0.0):
         T_out_a = G * T_a - (G * T_in0 - T_out) * (abs(T_a / T_in0) if T_out * T_in0 > 0 else 1)
         F_dl = ((T_out_a - T_final_loss) * final.i - T_wheel_loss) / r
         w_a = w_lim / G / final.i
-        F_friction = min(0.0, F - F_dl) if F < 0 else 0.0
-        regen, front = look(wheel.share_driveline, r * w_a), look(wheel.share_front, r * w_a)
-        F_front = F_friction * clip(front / (1 - regen), 0, 1)
+        F_friction = min(0.0, F_lim - F_dl) if F_lim < 0 else 0.0
+        # The rear axle is not driven: its grip is there for its brakes alone.  What they cannot take the front ones do.
+        F_rear = -min(-F_friction * (1 - clip(front / (1 - regen), 0, 1)), mu * (W - W_f))
+        F_front = -min(F_rear - F_friction, mu * W_f + F_dl)
+        F_friction = F_front + F_rear
         F_a, F_axle = F_dl + F_friction, F_dl + F_front
         v_w = r * w_a / (1 + math.copysign(look(wheel.slip, abs(F_axle) / W_f), F_axle))
         v_a = v_w if abs(w - w_a) > 1e-3 else v_lim

@@ -15,6 +15,8 @@ WEAK = CAR.with_values(
         "final_drive.tau_loss": 1.0, "wheel.f_1": 1e-4, "wheel.F_brake_front_max": 2000.0, "battery.soc_start": 0.6,
     }
 )  # fmt: skip
+#: Full, so that friction brakes do all the braking, and on snow: the tyres are the limit, those of the light rear axle too.
+SLIPPERY = CAR.with_values({"wheel.mu_max": 0.2, "body.front_share": 0.8, "battery.soc_start": 1.0})
 
 
 def cut(samples):
@@ -29,7 +31,7 @@ CYCLES = {
 }
 
 
-@pytest.mark.parametrize("car", [CAR, WEAK], ids=["car", "weak"])
+@pytest.mark.parametrize("car", [CAR, WEAK, SLIPPERY], ids=["car", "weak", "slippery"])
 @pytest.mark.parametrize("cycle", CYCLES)
 def test_hand_written_step_equals_the_generated_one(car, cycle):
     samples, compiled = CYCLES[cycle](), stepper_of(car)

@@ -38,11 +38,11 @@
 
 #define STATES(X) \
   X(body, v) X(body, distance) X(body, elevation) X(body, trace_missed) X(body, speed_ratio) X(wheel, v_before) \
-  X(gearbox, torque_ratio) X(motor, omega_before) X(battery, soc) X(battery, T) X(battery, U_supply)
+  X(gearbox, torque_ratio) X(motor, omega_before) X(battery, charge_drawn) X(battery, soc) X(battery, T) X(battery, U_supply)
 
 #define OUTPUTS(X) \
   X(body, v) X(body, distance) X(body, elevation) X(body, v_request) X(body, F_required) X(body, v_mean) \
-  X(body, trace_miss) X(body, P_aero) X(body, P_roll) X(body, P_climb) X(body, P_kinetic) X(body, P_mismatch) \
+  X(body, trace_miss) X(body, overspeed) X(body, P_aero) X(body, P_roll) X(body, P_climb) X(body, P_kinetic) X(body, P_mismatch) \
   X(body, P_limit) X(body, a_request) X(body, P_in) \
   X(wheel, F_limited) X(wheel, v_limited) X(wheel, slip_limited) X(wheel, slip) X(wheel, F_brake_front) \
   X(wheel, F_brake_rear) X(wheel, F_friction_required) X(wheel, F_driveline_required) X(wheel, v_driveline) \
@@ -59,7 +59,7 @@
   X(motor, P_out) X(motor, P_in) X(motor, P_in_required) \
   X(accessories, P_loss) X(accessories, P_out) X(accessories, P_in) X(accessories, P_in_required) \
   X(bus, P_bus) X(bus, P_loss) X(bus, P_out) X(bus, P_in) X(bus, P_in_required) \
-  X(battery, soc) X(battery, T) X(battery, U) X(battery, I) X(battery, P_stored) X(battery, P_loss) \
+  X(battery, charge_drawn) X(battery, T) X(battery, soc) X(battery, U) X(battery, I) X(battery, P_stored) X(battery, P_loss) \
   X(battery, P_battery_max) X(battery, P_battery_min) X(battery, battery_limited) X(battery, P_out)
 
 /* Piecewise linear over one axis (ny = 0) or two; i and j remember where the last look-up was. */
@@ -117,6 +117,11 @@ static double slip_of(maps *t, double F, double W) {
   return F > 0 ? slip : F < 0 ? -slip : 0;
 }
 
+/* State of charge: what is drawn, of the capacity at the present temperature. */
+static double charge_left(const parameters *p, maps *t, const states *x) {
+  return between(1 - x->battery_charge_drawn / (p->battery_capacity_scale * clipped(&t->battery_Q, x->battery_T)), 0, 1);
+}
+
 static void step(const parameters *p, maps *t, const states *x, double v_request, double grade, double key_on, double dt,
                  states *xn, outputs *o) {
   const double v = x->body_v, m = p->body_m, r = p->wheel_r;
@@ -140,7 +145,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double v_lowest = (-grip + transfer * climb + rest - transfer * momentum) / (slope - transfer * m / dt);
   const double v_limited = between(v_asked, 0.5 * (v_lowest + v), 0.5 * (v_highest + v));
   const double shifted = p->body_h / p->body_wheelbase * (2 * m * (v_limited - v) / dt + climb);
-  const double W_driven = fd * (front * W - shifted) + rd * ((1 - front) * W + shifted);
+  const double W_front = front * W - shifted, W_rear = (1 - front) * W + shifted, W_driven = fd * W_front + rd * W_rear;
   const double F_max = p->wheel_mu_max * W_driven, F_limited = between(F_asked, -F_max, F_max);
 
   /* Wheel and axle, required, eq. 1, 4 and 5: the driveline takes its share of a braking force. */
@@ -227,14 +232,18 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   /* Final drive, available. */
   const double tau_final = (tau_gearbox - tau_f_rotor - drag_f) * i, omega_final = omega_gearbox / i;
 
-  /* Wheel, available, eq. 12: friction brakes make up what the request still needs. */
+  /* Wheel, available, eq. 12: friction brakes make up what the request still needs.  The tyres of an axle hold them and the
+     driveline's share; what one axle cannot take goes to the other. */
   const double F_driveline = (tau_final - tau_wheels - tau_bearing) / r, v_tread = r * omega_final;
-  const double F_friction = F_asked < 0 ? smaller(0, F_asked - F_driveline) : 0;
+  const double F_friction = F_limited < 0 ? smaller(0, F_limited - F_driveline) : 0;
+  const double drives = fd / (fd + rd), mu = p->wheel_mu_max;
+  const double room_front = between(mu * W_front + drives * F_driveline, 0, p->wheel_F_brake_front_max);
+  const double room_rear = between(mu * W_rear + (1 - drives) * F_driveline, 0, p->wheel_F_brake_rear_max);
   double share_front = 0.6;
   const double share = clipped(&t->wheel_share_driveline, v_asked);
   if (share < 1) share_front = between(clipped(&t->wheel_share_front, v_asked) / larger(1 - share, 1e-12), 0, 1);
-  const double F_front = larger(share_front * F_friction, -p->wheel_F_brake_front_max);
-  const double F_rear = larger(smaller(0, F_friction - F_front), -p->wheel_F_brake_rear_max);
+  const double F_front = larger(smaller(share_front * F_friction, F_friction + room_rear), -room_front);
+  const double F_rear = larger(F_friction - F_front, -room_rear);
   const double F = F_driveline + F_front + F_rear;
   const double F_driven = F_driveline + (fd ? F_front : 0) + (rd ? F_rear : 0);
   const double v_driveline = v_tread / (1 + slip_of(t, F_driven, W_driven));
@@ -259,8 +268,9 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   xn->wheel_v_before = v_limited;
   xn->gearbox_torque_ratio = ratio_speed * tau_mesh > 0 ? ratio_speed / tau_mesh : 0;
   xn->motor_omega_before = omega_m;
-  xn->battery_soc = soc - dt * eta * I / (p->battery_capacity_scale * clipped(&t->battery_Q, T));
+  xn->battery_charge_drawn = x->battery_charge_drawn + dt * eta * I;
   xn->battery_T = T + dt * (P_heat / N - (T - p->battery_T_ambient) / R_th) / (p->battery_mass * p->battery_c_p);
+  xn->battery_soc = charge_left(p, t, xn);
   xn->battery_U_supply = U;
 
   o->body_v = xn->body_v;
@@ -270,6 +280,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->body_F_required = o->wheel_F_required = F_asked;
   o->body_v_mean = v_mean;
   o->body_trace_miss = v_request - v_end;
+  o->body_overspeed = v_end - v_request;
   o->body_P_aero = aero * v_mean * v_mean * v_mean;
   o->body_P_roll = moves * (roll_0 + roll_1 * v_mean) * v_mean;
   o->body_P_climb = climb * v_mean;
@@ -338,6 +349,7 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->bus_P_loss = P_battery - P_given;
   o->bus_P_in = o->battery_P_out = P_battery;
 
+  o->battery_charge_drawn = xn->battery_charge_drawn;
   o->battery_soc = xn->battery_soc;
   o->battery_T = xn->battery_T;
   o->battery_U = U;
@@ -356,8 +368,9 @@ EXPORT void twin_march(long n, const double *dt, const double *v, const double *
   states x[2] = {{0}};
   x[0].body_v = p->body_v_start;
   x[0].wheel_v_before = p->body_v_start;
-  x[0].battery_soc = p->battery_soc_start;
+  x[0].battery_charge_drawn = (1 - p->battery_soc_start) * p->battery_capacity_scale * clipped(&t->battery_Q, p->battery_T_start);
   x[0].battery_T = p->battery_T_start;
+  x[0].battery_soc = charge_left(p, t, x);
   x[0].battery_U_supply = p->battery_n_modules * clipped_2d(&t->battery_u_oc, p->battery_T_start, p->battery_soc_start);
   for (int j = 0; sums && j < N_OUTPUTS; ++j) { sums[j] = 0; highest[j] = -HUGE_VAL; }
   for (long k = 0; k < n; ++k) {
