@@ -174,7 +174,7 @@ class Cycle:
             by_distance = _slopes(travelled[forth], columns["elevation"][forth])
         try:
             return cls(
-                name=notes.get("name", "".join(c if NAME.fullmatch(f"x{c}") else "_" for c in path.name.removesuffix(".csv"))),
+                name=notes.get("name", _named(path.name.removesuffix(".csv"))),
                 title=notes.get("title", ""),
                 source=notes.get("source", ""),
                 time=columns["time"],
@@ -237,7 +237,7 @@ class Cycle:
         speed = self.speed.copy()
         total = _integral_at(self.time, self.speed, high[inside]) - _integral_at(self.time, self.speed, low[inside])
         speed[inside] = np.maximum(total / (high - low)[inside], 0)
-        return replace(self, name=f"{self.name}-smoothed-{width:g}", speed=speed)
+        return replace(self, name=f"{self.name[:80]}-smoothed-{width:g}", speed=speed)
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
@@ -270,7 +270,7 @@ class Cycle:
         factor = number(factor)
         if not (math.isfinite(factor) and factor >= 0):
             raise InputError(f"cycle '{self.name}'", [f"factor = {factor:g}, must be >= 0"])
-        return replace(self, name=f"{self.name}-x{factor:g}", speed=self.speed * factor)
+        return replace(self, name=f"{self.name[:80]}-x{factor:g}", speed=self.speed * factor)
 
     def statistics(self) -> Statistics:
         """Return the figures of the cycle."""
@@ -313,6 +313,11 @@ def _library(kind: str) -> dict[str, Traversable]:
 
 #: Ends a message about a grade.
 GRADE_CURE = " (rise over run: 5 % is 0.05, or 5 in a column grade_percent)"
+
+
+def _named(stem: str) -> str:
+    """Return the name of a cycle that says none: that of its file, as far as a name may have its characters."""
+    return "".join(c if NAME.fullmatch(f"x{c}") else "_" for c in stem).lstrip(" .+()-")[:80] or "cycle"
 
 
 def _row(values: Any, name: str, problems: list[str]) -> Array | None:

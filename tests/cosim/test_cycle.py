@@ -404,3 +404,10 @@ def test_a_million_lines_are_read_by_the_fast_parser(tmp_path, monkeypatch):
     text = "time_s,speed_mps\n" + "\n".join(f"{t / 10},{t % 30}" for t in range(20_000))
     monkeypatch.setattr("halfshaft.cosim.cycle_file._wrong", None)
     assert len(Cycle.load(write(tmp_path, text)).time) == 20_000
+
+
+@pytest.mark.parametrize(("stem", "name"), [("trip [1]", "trip _1_"), ("(a) b", "a) b"), ("---", "cycle"), ("x" * 200, "x" * 80)])
+def test_a_cycle_without_a_name_has_that_of_its_file(tmp_path, stem, name):
+    cycle = Cycle.load(write(tmp_path, "time_s,speed_mps\n0,0\n9,1\n", f"{stem}.csv"))
+    assert cycle.name == name
+    assert cycle.smoothed(2).scaled(2).name.endswith("-x2")
