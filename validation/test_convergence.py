@@ -38,7 +38,7 @@ def test_hybrid_results_are_the_refined_ones_where_no_limit_acts(rows: dict[tupl
 
 
 def test_the_table_has_a_column_for_each_step_and_one_for_idas(rows: dict[tuple[str, str], Row]) -> None:
-    head, _, *lines = table(rows.values()).splitlines()
+    head, _, *lines = table(rows.values())
     assert [cell.strip() for cell in head.split("|")[4:-1]] == [*(f"{dt:g} s" for dt in STEPS), "IDAS"]
     assert len(lines) == len(rows)
     assert all(line.count("|") == head.count("|") for line in lines)
