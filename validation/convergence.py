@@ -72,15 +72,17 @@ def convergence(names: Iterable[str], *, tasks: Iterable[str] = TASKS, forward: 
                 yield Row(name, task, mode, unit, tuple(values), exact)
 
 
-def table(rows: Iterable[Row]) -> str:
-    """Return the rows as a table in Markdown."""
-    lines = [f"| vehicle | | mode | {' | '.join(f'{dt:g} s' for dt in STEPS)} | IDAS |", "|---|---|---|" + "---|" * (len(STEPS) + 1)]
+def table(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield the lines of a table in Markdown, as the rows come."""
+    yield f"| vehicle | | mode | {' | '.join(f'{dt:g} s' for dt in STEPS)} | IDAS |"
+    yield "|---|---|---|" + "---|" * (len(STEPS) + 1)
     for row in rows:
         shown = ["-" if x is None else f"{x:.{row.digits}f}" for x in (*row.values, row.forward)]
-        lines.append(f"| `{row.vehicle}` | {row.task} [{row.unit}] | {row.mode} | {' | '.join(shown)} |")
-    return "\n".join(lines)
+        yield f"| `{row.vehicle}` | {row.task} [{row.unit}] | {row.mode} | {' | '.join(shown)} |"
 
 
 if __name__ == "__main__":
     named = [name for name in sys.argv[1:] if not name.startswith("--")]
-    sys.stdout.write(table(convergence(named or vehicle_names(), forward="--without-idas" not in sys.argv)) + "\n")
+    for line in table(convergence(named or vehicle_names(), forward="--without-idas" not in sys.argv)):
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()

@@ -18,7 +18,7 @@ class Control:
 
     def step(self, P_bus, soc=0.6, P_battery_max=1e5, P_battery_min=-1e5):
         given = self.part.control(
-            P_bus=P_bus, soc=soc, P_battery_max=P_battery_max, P_battery_min=P_battery_min, key_on=1.0, dt=self.dt,
+            P_bus=P_bus, soc_before=soc, P_battery_max=P_battery_max, P_battery_min=P_battery_min, key_on=1.0, dt=self.dt,
             engine=self.engine, generator=self.generator, **self.state,
         )  # fmt: skip
         self.state = {name: float(given[f"next_{name}"]) for name in self.state}
