@@ -10,12 +10,10 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
 
-from halfshaft import __version__
-from halfshaft.cosim.acceleration import Acceleration, accelerate
 from halfshaft.cosim.cli_output import (
     VIA,
     Commands,
@@ -30,16 +28,19 @@ from halfshaft.cosim.cli_output import (
     print_written,
     solver_noise,
 )
-from halfshaft.cosim.cli_show import Shelf, print_list, print_named
-from halfshaft.cosim.compiled import Mode
-from halfshaft.cosim.cycle import Cycle
-from halfshaft.cosim.fmu import build_fmu, fmu_problems
-from halfshaft.cosim.simulate import Via, run
-from halfshaft.fmu_build.variables import Version
+from halfshaft.cosim.ways import Mode, Via
 from halfshaft.library.errors import HalfshaftError
-from halfshaft.models.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    # Each command imports what it runs: the help needs none of it.
+    from halfshaft.cosim.acceleration import Acceleration
+    from halfshaft.cosim.cycle import Cycle
+    from halfshaft.models.vehicle import Vehicle
 
 T = TypeVar("T")
+
+#: What the library has.
+Shelf = Literal["vehicles", "components", "cycles"]
 
 #: More steps than this do not fit into the memory of a small machine, all outputs kept.
 MOST_STEPS = 2_000_000
@@ -58,6 +59,8 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
+        from halfshaft import __version__
+
         typer.echo(f"halfshaft {__version__}")
         raise typer.Exit
 
@@ -106,6 +109,9 @@ def _run(
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the run (.png, .svg, .pdf).")] = None,
     as_json: Json = False,
 ) -> None:
+    from halfshaft.cosim.cycle import Cycle
+    from halfshaft.cosim.simulate import run
+
     checks = _Checks()
     car = checks.vehicle(vehicle, mass, values, soc)
     trace = checks.take(lambda: Cycle.load(cycle, grade))
@@ -113,6 +119,8 @@ def _run(
     if mode != "hybrid" and via != "step":
         checks.problem(f"mode {mode} runs via step only, not via {via}")
     if via in ("fmu2", "fmu3") and trace is not None and checks.step_fits:
+        from halfshaft.cosim.fmu import fmu_problems
+
         checks.problem(*fmu_problems(3, trace, dt))
     checks.target(out, "--out")
     checks.target(plot, "--plot")
@@ -157,6 +165,8 @@ def _accelerate(
     compare: Annotated[bool, typer.Option("--compare", help="Also by iteration, refined, and with the forward-facing model.")] = False,
     as_json: Json = False,
 ) -> None:
+    from halfshaft.cosim.acceleration import accelerate
+
     checks = _Checks()
     found = checks.vehicle(vehicle, mass, values, None)
     if not 0 < to < 322:
@@ -200,7 +210,10 @@ def _fmu(
     values: Values = None,
     soc: Soc = None,
 ) -> None:
-    version: Version = 2 if fmi == "2" else 3
+    from halfshaft.cosim.cycle import Cycle
+    from halfshaft.cosim.fmu import build_fmu, fmu_problems
+
+    version: Literal[2, 3] = 2 if fmi == "2" else 3
     checks = _Checks()
     found = checks.vehicle(vehicle, mass, values, soc)
     trace = None if cycle is None else checks.take(lambda: Cycle.load(cycle, grade))
@@ -279,6 +292,8 @@ def _bench(as_json: Json = False) -> None:
     """,
 )
 def _list(what: Annotated[Shelf, typer.Argument(show_default=False)]) -> None:
+    from halfshaft.cosim.cli_show import print_list
+
     print_list(what)
 
 
@@ -295,6 +310,8 @@ def _list(what: Annotated[Shelf, typer.Argument(show_default=False)]) -> None:
     """,
 )
 def _show(name: Annotated[str, typer.Argument(metavar="NAME", help="Name in the library, or a file.", show_default=False)]) -> None:
+    from halfshaft.cosim.cli_show import print_named
+
     print_named(name)
 
 
@@ -319,6 +336,8 @@ class _Checks:
 
     def vehicle(self, name: str, mass: float | None, values: Sequence[str] | None, soc: float | None) -> Vehicle | None:
         """Return a vehicle with the numbers that were set."""
+        from halfshaft.models.vehicle import Vehicle
+
         car = self.take(lambda: Vehicle.load(name))
         given: list[tuple[str, float | str]] = [] if mass is None else [("body.m", mass)]
         for text in values or ():

@@ -11,9 +11,8 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import typer
 from rich import box
 from rich.console import Console
@@ -23,11 +22,13 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from typer.core import TyperGroup
 
-from halfshaft.cosim.acceleration import Acceleration
-from halfshaft.cosim.cycle import Cycle
-from halfshaft.cosim.result import Result
 from halfshaft.library.errors import HalfshaftError
-from halfshaft.models.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from halfshaft.cosim.acceleration import Acceleration
+    from halfshaft.cosim.cycle import Cycle
+    from halfshaft.cosim.result import Result
+    from halfshaft.models.vehicle import Vehicle
 
 #: The ways of running, as a reader knows them.
 VIA = {"step": "compiled step", "fmu2": "FMI 2.0", "fmu3": "FMI 3.0", "forward": "forward-facing model"}
@@ -113,6 +114,8 @@ def print_json(found: Mapping[str, Any]) -> None:
 
 def _plain(value: Any) -> Any:
     """Return what JSON can hold; what is not a finite number becomes null."""
+    import numpy as np
+
     if isinstance(value, Mapping):
         return {str(k): _plain(x) for k, x in value.items()}
     if isinstance(value, np.ndarray):

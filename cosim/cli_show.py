@@ -6,7 +6,6 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Literal
 
 from rich.markup import escape
 from rich.padding import Padding
@@ -21,13 +20,10 @@ from halfshaft.library.parameters import numbers, spec_of, tables
 from halfshaft.library.tables import Table as Map
 from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
 
-#: What the library has.
-Shelf = Literal["vehicles", "components", "cycles"]
-
 Rows = tuple[list[str], list[list[str]]]
 
 
-def print_list(what: Shelf) -> None:
+def print_list(what: str) -> None:
     """Print what the library has."""
     headings, rows = {"vehicles": _vehicle_rows, "components": _component_rows, "cycles": _cycle_rows}[what]()
     table = new_table()

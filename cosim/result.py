@@ -7,16 +7,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from halfshaft.cosim.account import Account, account
 from halfshaft.cosim.compiled import Array
 from halfshaft.library.errors import InputError
 from halfshaft.library.writing import written_whole
 from halfshaft.models.assembly import Description
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Relative residual of the energy account from which a run is doubtful.
 OPEN_BALANCE = 1e-6
@@ -92,6 +94,8 @@ class Result:
     @cached_property
     def dataset(self) -> xr.Dataset:
         """All time series with units and meanings, as a labelled dataset; built when first asked for."""
+        import xarray as xr  # takes a fifth of a second
+
         series = {
             d.name: xr.DataArray(self.history[:, i], dims="time", attrs={"units": d.unit, "long_name": d.doc})
             for i, d in enumerate(self.outputs)
@@ -183,6 +187,8 @@ class Result:
             If the file is missing or not a result.
 
         """
+        import xarray as xr
+
         try:
             with xr.open_dataset(path, engine="h5netcdf") as data:
                 plain = json.loads(data.attrs["result"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -13,12 +12,11 @@ from halfshaft.cosim.compiled import Array, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
 from halfshaft.cosim.result import Inputs, Result
+from halfshaft.cosim.ways import Via as Via
 from halfshaft.library.errors import InputError
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
-
-Via: TypeAlias = Literal["step", "fmu2", "fmu3", "forward"]
 
 
 class Build:

@@ -21,7 +21,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
 from halfshaft.library.component import Component, State, Variable, face
 from halfshaft.library.engine import Engine, EngineParameters
@@ -167,6 +166,8 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
     of ``n - 1`` equal parts of the power range every whole-numbered speed is tried; the cost is the engine's fuel per
     work over the generator's efficiency, plus 10 000 g/kWh outside of either envelope.
     """
+    from scipy.interpolate import RegularGridInterpolator  # takes a fifth of a second, and only a genset needs it
+
     omega_engine, tau_engine = engine.fuel.points
     omega_generator = generator.P_electric.points[0] * generator.speed_scale
     tau_generator = generator.P_electric.points[1] * generator.torque_scale

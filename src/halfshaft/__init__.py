@@ -1,10 +1,10 @@
 """Vehicle powertrains: equation-based models that run backward, forward and as FMUs."""
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from halfshaft.cosim.acceleration import accelerate
     from halfshaft.cosim.cycle import Cycle, cycle_names
     from halfshaft.cosim.fmu import build_fmu
@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from halfshaft.library.errors import HalfshaftError, InputError
     from halfshaft.library.files import component_names
     from halfshaft.models.vehicle import Vehicle, vehicle_names
-
-__version__ = version("halfshaft")
 
 __all__ = [
     "Cycle",
@@ -48,12 +46,17 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value = version("halfshaft")
+    elif name in _HOMES:
+        value = getattr(import_module(f"halfshaft.{_HOMES[name]}"), name)
+    else:
         raise AttributeError(f"module 'halfshaft' has no attribute '{name}'")
-    value = getattr(import_module(f"halfshaft.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *__all__})
