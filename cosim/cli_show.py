@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
-from dataclasses import MISSING, fields
 from pathlib import Path
 
 from rich.markup import escape
@@ -16,8 +15,7 @@ from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.library.catalog import KINDS
 from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.files import ComponentFile, component_names, read_component
-from halfshaft.library.parameters import numbers, spec_of, tables
-from halfshaft.library.tables import Table as Map
+from halfshaft.library.parameters import shown
 from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
 
 Rows = tuple[list[str], list[list[str]]]
@@ -123,16 +121,13 @@ def _show_vehicle(v: Vehicle) -> None:
     for role, part in v.parts.items():
         parts.add_row(role, escape(part.name), part.kind, escape(part.title))
     console().print(parts)
-    ruled = {target: type(rule).__name__ for target, rule in v.rules.items()}
+    ruled = v.rules.keys()
     table = _value_table("parameter", "from")
     for role, p in v.parameters.items():
-        for name, spec, value in numbers(p):
+        for name, *rest in shown(type(p), vars(p)):
             full = f"{role}.{name}"
             origin = "set" if full in v.explicit else "rule" if full in ruled or full.rpartition("_")[0] in ruled else ""
-            table.add_row(full, f"{value:g}", spec.unit, escape(spec.doc), origin)
-        specs = {f.name: spec_of(f) for f in fields(p)}
-        for name, t in tables(p):
-            table.add_row(f"{role}.{name}", "map", specs[name].unit, escape(f"{specs[name].doc}; {_extent(t)}"), "")
+            table.add_row(full, *map(escape, rest), origin)
         table.add_section()
     console().print(table)
 
@@ -140,43 +135,14 @@ def _show_vehicle(v: Vehicle) -> None:
 def _show_component(c: ComponentFile) -> None:
     _head(c.name, c.title, [("kind", c.kind), ("source", c.source)])
     table = _value_table("parameter")
-    for f in fields(c.component.parameters):
-        spec = spec_of(f)
-        value = c.values.get(f.name, f.default)
-        if value is MISSING:
-            table.add_row(f.name, "open", spec.unit, escape(f"{spec.doc}; follows from other parts of a vehicle"))
-        elif spec.axes:
-            table.add_row(f.name, "map", spec.unit, escape(f"{spec.doc}; {_extent(value)}"))
-        elif spec.row:
-            for i, x in enumerate(value, 1):
-                table.add_row(f"{f.name}_{i}", f"{x:g}", spec.unit, escape(spec.doc))
-        else:
-            table.add_row(f.name, f"{value:g}", spec.unit, escape(spec.doc))
+    for row in shown(c.component.parameters, c.values):
+        table.add_row(*map(escape, row))
     console().print(table)
 
 
-def _extent(t: Map) -> str:
-    return f"{' x '.join(str(n) for n in t.values.shape)} values, {t.values.min():.4g} to {t.values.max():.4g}"
-
-
 def _show_cycle(c: Cycle) -> None:
-    s = c.statistics()
     _head(c.name, c.title, [("source", c.source)])
     table = _value_table("figure")
-    for name, value, unit, doc in (
-        ("duration", s.duration, "s", "time from the first point to the last"),
-        ("distance", s.distance / 1000, "km", "distance driven if the trace is met"),
-        ("v_max", s.v_max * 3.6, "km/h", "top speed"),
-        ("v_mean", s.v_mean * 3.6, "km/h", "mean speed, stops included"),
-        ("a_max", s.a_max, "m/s^2", "largest acceleration"),
-        ("a_min", s.a_min, "m/s^2", "largest deceleration"),
-        ("t_idle", s.t_idle, "s", "time at rest"),
-        ("stops", float(s.stops), "1", "number of stops"),
-    ):
-        table.add_row(name, f"{value:.5g}", unit, doc)
-    if c.grade_by_distance is not None:
-        low, high = (100 * float(x) for x in (c.grade_by_distance[1].min(), c.grade_by_distance[1].max()))
-        table.add_row("grade", f"{low:.3g} to {high:.3g}", "%", "grade of the road, by distance")
-    elif c.grade is not None:
-        table.add_row("grade", f"{100 * c.grade.min():.3g} to {100 * c.grade.max():.3g}", "%", "grade of the road, by time")
+    for row in c.figures():
+        table.add_row(*row)
     console().print(table)

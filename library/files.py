@@ -25,7 +25,8 @@ import numpy as np
 from halfshaft.library.catalog import KINDS
 from halfshaft.library.component import Component
 from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.parameters import Parameters, Spec, spec_of
+from halfshaft.library.notebook import Grid, card
+from halfshaft.library.parameters import SHOWN, Parameters, Spec, shown, spec_of
 from halfshaft.library.tables import Table
 
 if TYPE_CHECKING:
@@ -263,6 +264,14 @@ class ComponentFile:
     source: str
     path: str
     values: Mapping[str, Any] = field(repr=False)
+
+    def __repr__(self) -> str:
+        """Return name and kind."""
+        return f"<ComponentFile {self.name}: {self.kind}>"
+
+    def _repr_html_(self) -> str:
+        facts = {"kind": self.kind, "source": self.source}
+        return card(self.name, self.title, facts, Grid(SHOWN, shown(self.component.parameters, self.values)))
 
     @property
     def component(self) -> type[Component]:
