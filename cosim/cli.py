@@ -138,7 +138,7 @@ def _run(
         from halfshaft.cosim.plot import plot_run
 
         with busy(f"drawing {plot}"):
-            plot_run(result, plot)
+            plot_run(result, path=plot)
     if as_json:
         print_run_json(result)
         return

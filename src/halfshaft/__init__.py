@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from halfshaft.cosim.acceleration import accelerate
     from halfshaft.cosim.cycle import Cycle, cycle_names
     from halfshaft.cosim.fmu import build_fmu
+    from halfshaft.cosim.plot import plot_run
     from halfshaft.cosim.result import Result
     from halfshaft.cosim.simulate import run
     from halfshaft.library.errors import HalfshaftError, InputError
@@ -25,6 +26,7 @@ __all__ = [
     "build_fmu",
     "component_names",
     "cycle_names",
+    "plot_run",
     "run",
     "vehicle_names",
 ]
@@ -40,6 +42,7 @@ _HOMES = {
     "build_fmu": "cosim.fmu",
     "component_names": "library.files",
     "cycle_names": "cosim.cycle",
+    "plot_run": "cosim.plot",
     "run": "cosim.simulate",
     "vehicle_names": "models.vehicle",
 }
