@@ -20,7 +20,6 @@ from halfshaft.cosim.cli_output import (
     busy,
     print_acceleration,
     print_bench,
-    print_group,
     print_json,
     print_line,
     print_run,
@@ -246,6 +245,7 @@ def _reproduce(
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write figures, tables and a report to this folder.")] = None,
     as_json: Json = False,
 ) -> None:
+    from halfshaft.validation.report import print_report
     from halfshaft.validation.reproduce import reproduce
 
     checks = _Checks()
@@ -256,7 +256,7 @@ def _reproduce(
     if as_json:
         print_json(found)
         return
-    print_group(found)
+    print_report(found)
     print_written(out)
 
 

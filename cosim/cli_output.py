@@ -240,26 +240,6 @@ def print_bench(rows: Sequence[Mapping[str, Any]]) -> None:
     console().print(table)
 
 
-def print_group(found: Mapping[str, Any], *above: str) -> None:
-    """Print a nested result: one table for each group, one line for each value or list."""
-    found = _plain(found)
-    groups = {k: x for k, x in found.items() if isinstance(x, dict)}
-    single = {k: x for k, x in found.items() if k not in groups}
-    if single:
-        table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=" ".join(above).replace("_", " ") or None)
-        table.title_justify, table.title_style = "left", "bold"
-        widest = max((len(x) for x in single.values() if isinstance(x, list)), default=1)
-        table.add_column(no_wrap=True)
-        for _ in range(widest if widest <= 8 else 1):
-            table.add_column(justify="right", overflow="fold")
-        for key, x in single.items():
-            cells = x if isinstance(x, list) and widest <= 8 else [", ".join(map(_cell, x))] if isinstance(x, list) else [x]
-            table.add_row(escape(key.replace("_", " ")), *(escape(_cell(cell)) for cell in cells))
-        console().print(table)
-    for key, group in groups.items():
-        print_group(group, *above, key)
-
-
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
