@@ -73,6 +73,7 @@ def _main(
 
 VehicleName = Annotated[str, typer.Argument(metavar="VEHICLE", help="Name in the library, or a TOML file.", show_default=False)]
 GradeFile = Annotated[str | None, typer.Option("--grade", metavar="CSV", help="Grade of the road over distance, with --cycle.")]
+Smooth = Annotated[float | None, typer.Option(metavar="S", help="Smooth the trace of a recorder over windows of so many seconds.")]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle, body.m.")]
 Values = Annotated[
     list[str] | None,
@@ -101,6 +102,7 @@ def _run(
     mode: Annotated[Mode, typer.Option(help="The paper's method; solved for the best end speed; the paper's benchmark.")] = "hybrid",
     dt: Annotated[float, typer.Option(metavar="S", help="Length of the step [s].")] = 1.0,
     grade: GradeFile = None,
+    smooth: Smooth = None,
     mass: Mass = None,
     values: Values = None,
     soc: Soc = None,
@@ -113,7 +115,7 @@ def _run(
 
     checks = _Checks()
     car = checks.vehicle(vehicle, mass, values, soc)
-    trace = checks.take(lambda: Cycle.load(cycle, grade))
+    trace = checks.take(lambda: Cycle.load(cycle, grade) if smooth is None else Cycle.load(cycle, grade).smoothed(smooth))
     checks.step(dt, trace)
     if mode != "hybrid" and via != "step":
         checks.problem(f"mode {mode} runs via step only, not via {via}")

@@ -14,8 +14,9 @@ from halfshaft.cosim.cli_output import console, new_table
 from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.library.catalog import KINDS
 from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.files import ComponentFile, component_names, read_component
-from halfshaft.library.parameters import shown
+from halfshaft.library.files import LARGEST, ComponentFile, component_names, read_component
+from halfshaft.library.parameters import described
+from halfshaft.library.texts import read_text
 from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
 
 Rows = tuple[list[str], list[list[str]]]
@@ -79,8 +80,8 @@ def _find(name: str) -> Vehicle | Cycle | ComponentFile:
 
 def _is_component(path: Path) -> bool:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")).get("kind") in KINDS
-    except (OSError, ValueError):
+        return tomllib.loads(read_text(path, LARGEST)).get("kind") in KINDS
+    except (InputError, ValueError, RecursionError, TypeError):
         return False  # the reader of vehicles says what is wrong
 
 
@@ -124,7 +125,7 @@ def _show_vehicle(v: Vehicle) -> None:
     ruled = v.rules.keys()
     table = _value_table("parameter", "from")
     for role, p in v.parameters.items():
-        for name, *rest in shown(type(p), vars(p)):
+        for name, *rest in described(type(p), vars(p)):
             full = f"{role}.{name}"
             origin = "set" if full in v.explicit else "rule" if full in ruled or full.rpartition("_")[0] in ruled else ""
             table.add_row(full, *map(escape, rest), origin)
@@ -135,7 +136,7 @@ def _show_vehicle(v: Vehicle) -> None:
 def _show_component(c: ComponentFile) -> None:
     _head(c.name, c.title, [("kind", c.kind), ("source", c.source)])
     table = _value_table("parameter")
-    for row in shown(c.component.parameters, c.values):
+    for row in described(c.component.parameters, c.values):
         table.add_row(*map(escape, row))
     console().print(table)
 

@@ -1,46 +1,42 @@
 """Driving cycles: a speed over time, with grade and key where a cycle has them.
 
-A cycle file is a CSV with a line of column names: ``time_s``, a speed whose name gives its unit (``speed_mps``,
-``speed_kmh``, ``speed_mph``, also ``speed [km/h]``), and where wanted ``grade`` (rise over run, by time) and ``key_on``.
-Lines before it may say ``# name: ...``, ``# title: ...`` and ``# source: ...``.  A grade over distance is a second CSV
-with ``distance_m`` and ``grade``.
+A cycle file is a CSV with a line of column names: a time, a speed whose name gives its unit (``speed_mps``,
+``speed [km/h]``), and where wanted a ``grade`` or an ``elevation`` (by time) and ``key_on``.  Lines before it may say
+``# name: ...``, ``# title: ...`` and ``# source: ...``.  A grade over distance is a second CSV, with a distance and a
+grade or an elevation.  `halfshaft.cosim.cycle_file` reads both.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from halfshaft.cosim.cycle_file import GRADE, TRACE, read_csv
 from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.notebook import Grid, card
+from halfshaft.library.texts import NAME, cleaned, name_problem
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Grades: TypeAlias = tuple[Array, Array]
 
-#: What a column is and its factor to SI.
-COLUMNS = {
-    "time_s": ("time", 1.0),
-    "speed_mps": ("speed", 1.0),
-    "speed_kmh": ("speed", 1 / 3.6),
-    "speed_mph": ("speed", 0.44704),
-    "grade": ("grade", 1.0),
-    "key_on": ("key_on", 1.0),
-}
-GRADE_COLUMNS = {"distance_m": ("distance", 1.0), "grade": ("grade", 1.0)}
-#: At most so many bad lines are named.
-NAMED = 20
 #: Times closer than this are the same [s].
 TIME_STEP = 1e-9
+#: No cycle is longer [s], has a later time [s], a higher speed [m/s] or, of a run, more steps.
+LONGEST, LATEST, FASTEST, MOST_STEPS = 1e9, 1e12, 1000.0, 100_000_000
+#: An elevation becomes the slope between points so far apart [m]; nearer ones show the noise of the recorder.
+SLOPE_LENGTH = 50.0
+#: More than 1 % of the points with more than this, or more stops than one in this time, is the noise of a recorder [m/s^2, s].
+DOUBTFUL_ACCELERATION, DOUBTFUL_STOPS = 6.0, 15.0
+#: Work of acceleration over that of the trace smoothed over two seconds from which the difference is noise.
+DOUBTFUL_WORK = 1.5
 
 
 class Samples(NamedTuple):
@@ -70,7 +66,33 @@ class Statistics(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cycle:
-    """A requested speed over time; between the points it is linear."""
+    """A requested speed over time; between the points it is linear.
+
+    All rows may be lists or arrays of any kind of number; they are kept as arrays of floats that cannot be changed.
+
+    Parameters
+    ----------
+    name, title, source
+        What it is called, and where it is from.
+    time
+        Rising [s].
+    speed
+        Requested speed at each time [m/s].
+    grade
+        Rise over run at each time [1].
+    key_on
+        Above 0 while the key is on, at most 1, at each time.
+    grade_by_distance
+        Rising distances [m] and the grade at each [1], in place of `grade`.
+    notes
+        What a user should know about where the figures are from.
+
+    Raises
+    ------
+    InputError
+        If the rows do not fit each other, or hold what no cycle can have; everything that is wrong is named at once.
+
+    """
 
     name: str
     title: str = ""
@@ -80,21 +102,35 @@ class Cycle:
     grade: Array | None = None
     key_on: Array | None = None
     grade_by_distance: Grades | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check what was given."""
-        with_time = {"speed": self.speed, "grade": self.grade, "key_on": self.key_on}
-        given = {"time": self.time} | {name: x for name, x in with_time.items() if x is not None}
-        problems = [f"{name} has {len(x)} points, time has {len(self.time)}" for name, x in given.items() if len(x) != len(self.time)]
-        problems += [f"{name} has a point that is not a finite number" for name, x in given.items() if not np.all(np.isfinite(x))]
-        if len(self.time) == 0:
-            problems.append("has no points")
-        if np.any(np.diff(self.time) <= 0):
-            problems.append("time must rise")
-        if np.any(self.speed < 0):
-            problems.append("speed must be >= 0 m/s")
+        """Check what was given, and keep it in the form that compiled code reads."""
+        problems = [problem] if (problem := name_problem(self.name)) else []
+        rows = {n: _row(x, n, problems) for n in ("time", "speed", "grade", "key_on") if (x := getattr(self, n)) is not None}
+        for name, x in rows.items():
+            if x is not None and rows["time"] is not None and len(x) != len(rows["time"]):
+                problems.append(f"{name} has {len(x)} points, time has {len(rows['time'])}")
+        _axis(rows["time"], "time", "s", problems)
+        if (time := rows["time"]) is not None and len(time) and abs(time[-1] - time[0]) > LONGEST:
+            problems.append(f"lasts {time[-1] - time[0]:g} s, must be at most {LONGEST:g} s")
+        _within(rows["speed"], "speed", 0, FASTEST, " m/s", problems)
+        _within(rows.get("grade"), "grade", -1, 1, GRADE_CURE, problems)
+        _within(rows.get("key_on"), "key_on", 0, 1, "", problems)
+        if (pair := self.grade_by_distance) is not None:
+            if not isinstance(pair, tuple | list) or len(pair) != 2:
+                problems.append("grade_by_distance must be a pair of rows, the distances and the grades")
+            else:
+                distance, grade = (_row(x, f"grade_by_distance: {n}", problems) for x, n in zip(pair, ("distance", "grade"), strict=True))
+                if distance is not None and grade is not None and len(distance) != len(grade):
+                    problems.append(f"grade_by_distance: grade has {len(grade)} points, distance has {len(distance)}")
+                _axis(distance, "grade_by_distance: distance", "m", problems)
+                _within(grade, "grade_by_distance: grade", -1, 1, GRADE_CURE, problems)
+                rows["grade_by_distance"] = distance, grade
         if problems:
             raise InputError(f"cycle '{self.name}'", problems)
+        for name, x in {**rows, "title": cleaned(self.title), "source": cleaned(self.source)}.items():
+            object.__setattr__(self, name, x)
 
     def __repr__(self) -> str:
         """Return name, duration and distance."""
@@ -146,26 +182,48 @@ class Cycle:
                 raise InputError(f"cycle '{source}'", [f"not in the library{nearest(source.lower(), library)}"])
             path = library[source.lower()]
             grade_path = grade_path or _library("grades").get(source.lower())
-        notes, columns = _read(path, COLUMNS, "time", {"time": "time_s", "speed": "speed_mps"})
+        notes, columns = read_csv(path, TRACE, "time")
+        speed = columns["speed"]
+        below = speed < 0
+        zeroed = (f"{np.sum(below)} speeds below zero, down to {speed.min():.2g} m/s, were set to 0",) if below.any() else ()
         by_distance = None
         if grade_path is not None:
-            _, over = _read(grade_path, GRADE_COLUMNS, "distance", {"distance": "distance_m", "grade": "grade"})
-            by_distance = over["distance"], over["grade"]
-        return cls(
-            name=notes.get("name", path.name.removesuffix(".csv")),
-            title=notes.get("title", ""),
-            source=notes.get("source", ""),
-            time=columns["time"],
-            speed=columns["speed"],
-            grade=columns.get("grade"),
-            key_on=columns.get("key_on"),
-            grade_by_distance=by_distance,
-        )
+            _, over = read_csv(grade_path, GRADE, "distance")
+            by_distance = over["distance"], over["grade"] if "grade" in over else over["elevation"]
+            if "elevation" in over:
+                by_distance = _slopes(*by_distance)
+        elif "elevation" in columns:
+            travelled = _integral(columns["time"], np.maximum(speed, 0))
+            forth = np.append(True, np.diff(travelled) > 0)
+            by_distance = _slopes(travelled[forth], columns["elevation"][forth])
+        try:
+            return cls(
+                name=notes.get("name", "".join(c if NAME.fullmatch(f"x{c}") else "_" for c in path.name.removesuffix(".csv"))),
+                title=notes.get("title", ""),
+                source=notes.get("source", ""),
+                time=columns["time"],
+                speed=np.maximum(speed, 0),
+                grade=columns.get("grade"),
+                key_on=columns.get("key_on"),
+                grade_by_distance=by_distance,
+                notes=zeroed,
+            )
+        except InputError as e:
+            raise InputError(str(path), e.problems) from None
 
     def sampled(self, dt: float) -> Samples:
-        """Return the steps of a run; the last one is shorter where `dt` does not divide the duration."""
+        """Return the steps of a run; the last one is shorter where `dt` does not divide the duration.
+
+        A step asks for the speed of the trace at its end.  Where steps are longer than the trace's points are apart (half
+        of them nearer than `dt`), it asks for the mean over half a step before and after, and starts at that over half a
+        step: so nothing between is lost, and the distance is the trace's.  Grades are read in the same way.
+        """
         if not (math.isfinite(dt) and dt > TIME_STEP):
             raise InputError(f"cycle '{self.name}'", [f"dt = {dt:g} s, must be > {TIME_STEP:g} s"])
+        if self.duration / dt > MOST_STEPS:
+            raise InputError(
+                f"cycle '{self.name}'", [f"dt = {dt:g} s makes {self.duration / dt:.3g} steps, at most {MOST_STEPS:g} are run"]
+            )
         n = math.ceil(self.duration / dt - TIME_STEP)
         # Rounding keeps k dt from falling just behind a point of the cycle.
         t = np.minimum(self.time[0] + np.round(np.arange(1, n + 1) * dt, 9), self.time[-1])
@@ -174,11 +232,61 @@ class Cycle:
         if n and abs(rest - dt) > TIME_STEP:
             steps[-1] = rest
 
-        v = np.interp(t, self.time, self.speed)
-        grade = np.zeros(n) if self.grade is None else np.interp(t, self.time, self.grade)
+        v_start = float(self.speed[0])
+        if n and self._spacing < dt * (1 - 1e-6):
+            ends = np.append(self.time[0], t)
+            edges = np.concatenate([ends[:1], (ends[1:] + ends[:-1]) / 2, ends[-1:]])
+            v_start, *_ = v = np.maximum(_means(self.time, self.speed, edges), 0)
+            v = v[1:]
+            grade = np.zeros(n) if self.grade is None else _means(self.time, self.grade, edges)[1:]
+        else:
+            v = np.interp(t, self.time, self.speed)
+            grade = np.zeros(n) if self.grade is None else np.interp(t, self.time, self.grade)
         # Between a point with the key on and one with it off, the key is on.
         key_on = np.ones(n) if self.key_on is None else (np.interp(t, self.time, self.key_on) > 0).astype(float)
-        return Samples(t, steps, v, grade, key_on, float(self.speed[0]), self.grade_by_distance)
+        return Samples(t, steps, v, grade, key_on, float(v_start), self.grade_by_distance)
+
+    def smoothed(self, width: float) -> Cycle:
+        """Return the cycle with the noise of a recorder smoothed out of its speeds.
+
+        Each speed becomes the mean of the trace over a window of `width` seconds around its time, cut at both sides alike
+        where it would reach beyond the first or the last point.  Distance and rests longer than `width` stay.
+        """
+        if not (math.isfinite(width) and width > 0):
+            raise InputError(f"cycle '{self.name}'", [f"width of smoothing = {width:g} s, must be > 0 s"])
+        half = np.minimum(width / 2, np.minimum(self.time - self.time[0], self.time[-1] - self.time))
+        low, high = self.time - half, self.time + half
+        inside = half > TIME_STEP
+        speed = self.speed.copy()
+        total = _integral_at(self.time, self.speed, high[inside]) - _integral_at(self.time, self.speed, low[inside])
+        speed[inside] = np.maximum(total / (high - low)[inside], 0)
+        return replace(self, name=f"{self.name}-smoothed-{width:g}", speed=speed)
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """What of this trace no car drives: the noise of a recorder, with its numbers; empty for a good one."""
+        found, dt = list(self.notes), np.diff(self.time)
+        s = self.statistics()
+        steep = np.abs(np.diff(self.speed)) > DOUBTFUL_ACCELERATION * dt
+        if np.sum(steep) >= max(3, len(dt) / 100):
+            worst = max(s.a_max, -s.a_min)
+            found.append(
+                f"the trace asks for more than {DOUBTFUL_ACCELERATION:g} m/s2 at {np.sum(steep)} of {len(dt)} points, for up to {worst:.3g}"
+            )
+        if s.stops > max(4.0, self.duration / DOUBTFUL_STOPS):
+            found.append(f"the trace stops {s.stops} times, every {self.duration / s.stops:.2g} s")
+        if self._spacing < 1 - 1e-6:
+            work, smooth = _work(self.speed), _work(self.smoothed(2.0).speed)
+            if work > DOUBTFUL_WORK * smooth:
+                found.append(f"the trace accelerates {work / smooth:.3g} times as much as smoothed over 2 s: noise, which costs energy")
+        if len(found) > len(self.notes):
+            found[-1] += " (smooth it: --smooth 2 or Cycle.smoothed(2))"
+        return tuple(found)
+
+    @cached_property
+    def _spacing(self) -> float:
+        """Time between two points, the half of them nearer [s]."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else math.inf
 
     def scaled(self, factor: float) -> Cycle:
         """Return the cycle with all speeds multiplied."""
@@ -225,59 +333,74 @@ def _library(kind: str) -> dict[str, Traversable]:
     return {p.name.removesuffix(".csv"): p for p in folder.iterdir() if p.name.endswith(".csv")}
 
 
-def _column(title: str) -> str:
-    """Return the plain name of a column: ``Speed [km/h]`` is ``speed_kmh``."""
-    plain = title.strip().lower().replace("km/h", "kmh").replace("m/s", "mps")
-    return re.sub(r"[\s_\[\]()]+", "_", plain).strip("_")
+#: Ends a message about a grade.
+GRADE_CURE = " (rise over run: 5 % is 0.05, or 5 in a column grade_percent)"
 
 
-def _read(
-    path: Path | Traversable, known: Mapping[str, tuple[str, float]], axis: str, needed: Mapping[str, str]
-) -> tuple[dict[str, str], dict[str, Array]]:
-    """Return notes and columns in SI of a CSV; `axis` must rise and all `needed` columns be there."""
+def _row(values: Any, name: str, problems: list[str]) -> Array | None:
+    """Return numbers as an array of floats of its own, or None and say why not."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as e:
-        raise InputError(str(path), ["not a text file in UTF-8"]) from e
-    except OSError as e:
-        raise InputError(str(path), [f"cannot be read: {e.strerror}"]) from e
-    notes = {m[1]: m[2].strip() for line in lines if (m := re.match(r"#\s*(name|title|source):(.*)", line))}
-    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    if not numbered:
-        raise InputError(str(path), ["is empty"])
-    rows = [[entry.strip(' "') for entry in line.split(",")] for _, line in numbered]
-    titles, first = [_column(title) for title in rows[0]], f"line {numbered[0][0]}"
-    found = [known[title][0] for title in titles if title in known]
-    problems = [f"{first}: column '{t}' is not known{nearest(t, known)}" for t in titles if t not in known]
-    problems += [f"{first}: column {title} is missing" for name, title in needed.items() if name not in found]
-    problems += [f"{first}: there are several columns with the {name}" for name in sorted(set(found)) if found.count(name) > 1]
-    if problems:
-        raise InputError(str(path), problems)
-    if len(rows) == 1:
-        raise InputError(str(path), ["has no line with numbers"])
-    values = np.full((len(rows) - 1, len(titles)), np.nan)
-    for k, ((i, _), row) in enumerate(zip(numbered[1:], rows[1:], strict=True)):
-        if len(row) != len(titles):
-            problems.append(f"line {i} has {len(row)} entries, must have {len(titles)}")
-            continue
-        for j, (title, text) in enumerate(zip(titles, row, strict=True)):
-            try:
-                values[k, j] = float(text)
-            except ValueError:
-                problems.append(f"line {i}: {title} = '{text}', must be a number")
-                continue
-            if not math.isfinite(values[k, j]):
-                problems.append(f"line {i}: {title} = {text}, must be a finite number")
-            elif known[title][0] == "speed" and values[k, j] < 0:
-                problems.append(f"line {i}: {title} = {text}, must be >= 0")
-    columns = {known[title][0]: values[:, j] * known[title][1] for j, title in enumerate(titles)}
-    problems += _falls(columns[axis], titles[found.index(axis)], [i for i, _ in numbered[1:]])
-    if problems:
-        more = [f"and {len(problems) - NAMED} more like these"] if len(problems) > NAMED else []
-        raise InputError(str(path), problems[:NAMED] + more)
-    return notes, {name: np.ascontiguousarray(x) for name, x in columns.items()}
+        given = np.asarray(values)
+        if given.dtype.kind not in "biufO":
+            raise TypeError
+        row = np.array(given, dtype=float, order="C")
+    except (TypeError, ValueError, OverflowError):
+        problems.append(f"{name} must be a row of numbers")
+        return None
+    if row.ndim != 1:
+        problems.append(f"{name} must be one row of numbers, has {row.ndim} dimensions")
+        return None
+    if not len(row):
+        problems.append(f"{name} has no points")
+    elif not np.all(np.isfinite(row)):
+        problems.append(f"{name} has a point that is not a finite number")
+    else:
+        row.flags.writeable = False
+        return row
+    return None
 
 
-def _falls(points: Array, title: str, lines: Sequence[int]) -> list[str]:
-    pairs = zip(lines[1:], pairwise(points), strict=True)
-    return [f"line {i}: {title} = {b:g} follows {a:g}, it must rise" for i, (a, b) in pairs if b <= a]
+def _axis(row: Array | None, name: str, unit: str, problems: list[str]) -> None:
+    if row is not None and np.any(np.diff(row) < TIME_STEP / 2):
+        problems.append(f"{name} must rise")
+    if row is not None and np.any(np.abs(row) > LATEST):
+        problems.append(f"{name} = {row[np.argmax(np.abs(row))]:g} {unit}, must be within {LATEST:g} {unit}")
+
+
+def _within(row: Array | None, name: str, low: float, high: float, unit: str, problems: list[str]) -> None:
+    if row is not None and (np.any(row < low) or np.any(row > high)):
+        worst = row[np.argmax(np.maximum(low - row, row - high))]
+        problems.append(f"{name} = {worst:g}, must be >= {low:g} and <= {high:g}{unit}")
+
+
+def _integral(x: Array, y: Array) -> Array:
+    """Return the integral of a piecewise linear row from its first point to each."""
+    return np.append(0.0, np.cumsum((y[1:] + y[:-1]) / 2 * np.diff(x)))
+
+
+def _integral_at(x: Array, y: Array, places: Array) -> Array:
+    """Return the same integral to any place between the first and the last point."""
+    i = np.minimum(np.searchsorted(x, places, side="right") - 1, len(x) - 1)
+    total: Array = _integral(x, y)[i] + (y[i] + np.interp(places, x, y)) / 2 * (places - x[i])
+    return total
+
+
+def _means(x: Array, y: Array, edges: Array) -> Array:
+    """Return the means of a piecewise linear row between edges."""
+    return np.diff(_integral_at(x, y, edges)) / np.diff(edges)
+
+
+def _slopes(distance: Array, elevation: Array) -> Grades | None:
+    """Return the grade over distance of a profile of elevation; None for one without length."""
+    n = int((distance[-1] - distance[0]) // SLOPE_LENGTH)
+    if n < 1:
+        return None
+    points = np.linspace(distance[0], distance[-1], n + 1)
+    edges = np.concatenate([points[:1], (points[1:] + points[:-1]) / 2, points[-1:]])
+    middles = (edges[1:] + edges[:-1]) / 2
+    return points, np.gradient(_means(distance, elevation, edges), middles)
+
+
+def _work(speed: Array) -> float:
+    """Return the work of all accelerations, for a mass of one [J/kg]."""
+    return float(np.maximum(np.diff(speed**2), 0).sum()) / 2

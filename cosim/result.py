@@ -14,6 +14,7 @@ import numpy as np
 from halfshaft.cosim.account import Account, account
 from halfshaft.cosim.compiled import Array
 from halfshaft.library.errors import InputError
+from halfshaft.library.texts import open_regular
 from halfshaft.library.writing import written_whole
 from halfshaft.models.assembly import Description
 
@@ -36,6 +37,8 @@ class Inputs:
     dt: float
     version: str
     parameters: Mapping[str, float]
+    #: What is doubtful about the vehicle and the cycle.
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ class Result:
             found.append("no fuel used: the engine never ran")
         if abs(self.account.balance_relative) > OPEN_BALANCE:
             found.append(f"the energy account is open by {self.account.balance_relative:.1e} of the turnover")
-        return tuple(found)
+        return (*found, *self.inputs.notes)
 
     def _plain(self) -> dict[str, Any]:
         return {
@@ -189,12 +192,18 @@ class Result:
         """
         import xarray as xr
 
-        try:
-            with xr.open_dataset(path, engine="h5netcdf") as data:
-                plain = json.loads(data.attrs["result"])
-                outputs = tuple(Description(*d) for d in plain["outputs"])
-                history = np.stack([data[d.name].to_numpy() for d in outputs], axis=1)
-                time = data["time"].to_numpy()
-        except (OSError, KeyError, ValueError) as error:
-            raise InputError(str(path), [f"is not a result of halfshaft: {error}"]) from error
-        return cls(Inputs(**plain["inputs"]), time, outputs, history, plain["energies"], plain["highest"], plain["first"], plain["last"])
+        with open_regular(path) as file:
+            try:
+                with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+                    plain = json.loads(data.attrs["result"])
+                    outputs = tuple(Description(*d) for d in plain["outputs"])
+                    history = np.stack([data[d.name].to_numpy() for d in outputs], axis=1).astype(float)
+                    time = data["time"].to_numpy().astype(float)
+                inputs = Inputs(**{**plain["inputs"], "notes": tuple(plain["inputs"].get("notes", ()))})
+                result = cls(inputs, time, outputs, history, *(plain[x] for x in ("energies", "highest", "first", "last")))
+                # Nothing is missing from what the summary can be made of.
+                _ = result.summary
+            # What HDF5 and a changed text raise has no common base.
+            except Exception as error:
+                raise InputError(str(path), [f"is not a result of halfshaft: {type(error).__name__}: {error}"]) from error
+        return result

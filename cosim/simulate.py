@@ -86,7 +86,9 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         problems.append(f"mode {mode} runs via step only, not via {via}")
     if problems:
         raise InputError("run", problems)
-    inputs = Inputs(vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values))
+    inputs = Inputs(
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), (*vehicle.notes, *cycle.doubts)
+    )
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs)
     if via in ("fmu2", "fmu3"):

@@ -16,6 +16,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+#: A message about one thing is cut to so many characters.
+LONGEST = 1000
+
 
 class HalfshaftError(Exception):
     """Base of all errors that halfshaft raises on purpose."""
@@ -25,7 +28,7 @@ class InputError(HalfshaftError):
     """Something that the user gave is not usable; `problems` lists everything that is wrong."""
 
     def __init__(self, where: str, problems: Iterable[str]) -> None:
-        self.where, self.problems = where, tuple(problems)
+        self.where, self.problems = _printable(where), tuple(_printable(p) for p in problems)
         super().__init__("\n  ".join([f"{where}:", *self.problems]) if len(self.problems) > 1 else f"{where}: {self.problems[0]}")
 
 
@@ -45,7 +48,16 @@ class SolveError(HalfshaftError):
     """The integrator of the forward-facing model failed."""
 
 
+def _printable(text: str) -> str:
+    """Return a message with control characters written out: what a file holds must not steer the terminal."""
+    shown = text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 4]} ..."
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``, did you mean 'x'?`` for the known name nearest to `name`, or nothing."""
+    # A name that is longer than any is not compared: the search takes time with the square of its length.
+    if len(name) > 100:
+        return ""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f", did you mean '{close[0]}'?" if close else ""

@@ -9,10 +9,11 @@ file that is not right gives one `InputError` with every problem; places in list
 from __future__ import annotations
 
 import math
+import os
 import re
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache, cached_property
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -26,8 +27,11 @@ from halfshaft.library.catalog import KINDS
 from halfshaft.library.component import Component
 from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.notebook import Grid, card
-from halfshaft.library.parameters import SHOWN, Parameters, Spec, shown, spec_of
+from halfshaft.library.parameters import DESCRIBED, Parameters, Spec, described, spec_of
 from halfshaft.library.tables import Table
+from halfshaft.library.texts import cleaned, name_problem, read_text
+from halfshaft.library.toml import toml_text, written
+from halfshaft.library.writing import written_whole
 
 if TYPE_CHECKING:
     import pint
@@ -47,8 +51,11 @@ COMMON = {
     ("g/s", "kg/s"): (0.001, 0.0), ("J/g", "J/kg"): (1000.0, 0.0), ("g/l", "kg/m^3"): (0.9999999999999999, 0.0),
 }  # fmt: skip
 _TYPES = {int: "a whole number", str: "a text", dict: "a table"}
-#: At most so many bad entries of one list are named.
-NAMED = 5
+#: At most so many bad entries of one list, and unknown keys of one table, are named.
+NAMED, NAMED_KEYS = 5, 50
+
+#: Largest file that is read [MB], and longest text of a number.
+LARGEST, LONGEST = 10, 100
 
 _NUMBER = re.compile(r"([-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf\b|nan\b))((?:\s|[^\d.\s]).*)?", re.IGNORECASE)
 _EXPONENT = re.compile(r"(\^|\*\*)\s*-?\d(?!\d|\.\d|\s*(\^|\*\*))")
@@ -66,12 +73,12 @@ def _unit(text: str) -> Any:
     """Return a unit; of powers only single ones are let through, a tower of them would keep pint busy for ever."""
     rest = _EXPONENT.sub("", text)
     if "^" in rest or "**" in rest or not re.fullmatch(r"(?:[^\W\d]|[ %°²³1/*.()-])*", rest):
-        raise ValueError(f"{_shown(text)} is not a unit")
+        raise ValueError(f"{shown(text)} is not a unit")
     try:
         return _units().parse_units(text)
     # What pint raises on a malformed unit has no common base.
     except Exception as e:
-        raise ValueError(f"{_shown(text)} is not a known unit") from e
+        raise ValueError(f"{shown(text)} is not a known unit") from e
 
 
 def _to_si(values: Any, unit: str, si: str) -> Any:
@@ -79,19 +86,29 @@ def _to_si(values: Any, unit: str, si: str) -> Any:
         return values
     if (unit, si) in COMMON:
         factor, offset = COMMON[unit, si]
-        return values * factor + offset
-    given, wanted = (_units().Quantity(1.0, _unit(u)) for u in (unit, si))
-    turns = ["radian" in str(q.to_base_units().units) for q in (given, wanted)]
-    # Nobody can tell whether 1/min and Hz count turns or radians.
-    if not given.is_compatible_with(wanted) or turns == [False, True]:
-        expected = "be a number without unit" if si == "1" else f"be {QUANTITIES.get(si, 'a quantity')} such as {si}"
-        raise ValueError(f"must {expected}")
-    return _units().Quantity(values, given.units).to(wanted.units).magnitude
+        with np.errstate(all="ignore"):
+            return values * factor + offset
+    given, wanted = (_unit(u) for u in (unit, si))
+    expected = "be a number without unit" if si == "1" else f"be {QUANTITIES.get(si, 'a quantity')} such as {si}"
+    try:
+        # Nobody can tell whether 1/min and Hz count turns or radians.
+        if _turns(si) <= _turns(unit) and _units().Quantity(1.0, given).is_compatible_with(wanted):
+            with np.errstate(all="ignore"):
+                return _units().Quantity(values, given).to(wanted).magnitude
+    # What pint raises has no common base; a unit in decibels overflows.
+    except Exception as e:
+        raise ValueError(f"cannot be converted to {si}") from e
+    raise ValueError(f"must {expected}")
+
+
+@cache
+def _turns(unit: str) -> bool:
+    return "radian" in str(_units().Quantity(1.0, _unit(unit)).to_base_units().units)
 
 
 def _number(value: Any, si: str) -> float:
     if isinstance(value, str):
-        match = _NUMBER.fullmatch(value.strip())
+        match = _NUMBER.fullmatch(value.strip()) if len(value) <= LONGEST else None
         if match is None:
             raise ValueError("must be a number" if si == "1" else f'must be a number and a unit such as "1 {si}"')
         unit = (match[2] or "").strip()
@@ -102,12 +119,28 @@ def _number(value: Any, si: str) -> float:
     elif isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("must be a number" if si == "1" else f'must be a number and a unit in quotes such as "1 {si}"')
     elif si == "1":
-        return float(value)
+        return _float(value)
     raise ValueError(f"must have a unit such as {si}")
 
 
-def _shown(value: Any) -> str:
-    text = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
+def _float(value: float) -> float:
+    """Return a number as a float: infinite where it is too large for one."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def shown(value: Any, deep: bool = True) -> str:
+    """Return what a file holds as a short text for a message."""
+    if isinstance(value, dict):
+        text = "{...}" if value else "{}"
+    elif isinstance(value, list):
+        text = f"[{', '.join(shown(x, False) for x in value[:9])}]" if deep else "[...]"
+    elif isinstance(value, int) and value.bit_length() > 99:
+        text = "a number of more than 29 digits"
+    else:
+        text = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
     return text if len(text) < 60 else f"{text[:56]} ..."
 
 
@@ -129,25 +162,26 @@ class Reader:
     def toml(self, path: Path | Traversable, kinds: Collection[str], extra: Mapping[str, type]) -> dict[str, Any]:
         """Return what the top level of a file holds; apart from what each file has, it may have `extra` keys."""
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as e:
+            data = tomllib.loads(read_text(path, LARGEST))
+        # A number of thousands of digits is a ValueError of Python's own.
+        except (ValueError, RecursionError) as e:
             raise InputError(str(path), [f"not a TOML file: {e}"]) from e
-        except OSError as e:
-            raise InputError(str(path), [f"cannot be read: {e.strerror}"]) from e
         if data.get("schema", SCHEMA) != SCHEMA:
-            raise InputError(str(path), [f"schema = {_shown(data['schema'])}, this version reads schema {SCHEMA}"])
+            raise InputError(str(path), [f"schema = {shown(data['schema'])}, this version reads schema {SCHEMA}"])
         keys = {"schema": int, "kind": str, "name": str, "title": str, "source": str, **extra}
         self.keys(data, keys, "")
         self.required(data, ("schema", "kind", "name", "title"), "")
         wrong = [k for k, v in data.items() if k in keys and type(v) is not keys[k]]
-        self.problems.extend(f"{k} = {_shown(data[k])}, must be {_TYPES[keys[k]]}" for k in wrong)
-        data = {k: v for k, v in data.items() if k in keys and k not in wrong}
+        self.problems.extend(f"{k} = {shown(data[k])}, must be {_TYPES[keys[k]]}" for k in wrong)
+        data = {k: cleaned(v) if k in ("title", "source") else v for k, v in data.items() if k in keys and k not in wrong}
         stem = path.name.removesuffix(".toml")
         if data.get("name", stem) != stem:
-            self.problems.append(f'name = "{data["name"]}", must be the name of the file, "{stem}"')
+            self.problems.append(f'name = {shown(data["name"])}, must be the name of the file, "{stem}"')
+        elif problem := name_problem(stem):
+            self.problems.append(problem)
         if "kind" in data and data["kind"] not in kinds:
             what = nearest(data["kind"], kinds) or f", must be {' or '.join(kinds) if len(kinds) < 3 else 'a kind of component'}"
-            self.problems.append(f'kind = "{data["kind"]}" is not known{what}')
+            self.problems.append(f"kind = {shown(data['kind'])} is not known{what}")
         return data
 
     def required(self, data: Mapping[str, Any], names: Collection[str], where: str) -> None:
@@ -156,18 +190,19 @@ class Reader:
 
     def keys(self, data: Mapping[str, Any], known: Collection[str], where: str) -> None:
         """Report what is unknown."""
-        self.problems.extend(f"{where}{key} is not known{nearest(key, known)}" for key in data if key not in known)
+        self._report([f"{where}{key} is not known{nearest(key, known)}" for key in data if key not in known], NAMED_KEYS)
 
     def number(self, value: Any, spec: Spec, where: str, *, plain: bool = False) -> float:
         """Return one number in SI; with `plain`, a number without unit is SI already."""
         plain = plain and isinstance(value, int | float) and not isinstance(value, bool)
         try:
-            number = float(value) if plain else _number(value, spec.unit)
+            number = _float(value) if plain else _number(value, spec.unit)
         except ValueError as e:
-            self.problems.append(f"{where} = {_shown(value)}, {e}")
+            self.problems.append(f"{where} = {shown(value)}, {e}")
             return math.nan
         if not spec.holds(number):
-            self.problems.append(f"{where} = {_shown(value)}, must be {spec.allowed() or 'a finite number'}")
+            allowed = [spec.allowed(), "a finite number" if not spec.allowed() else "" if math.isfinite(number) else "finite"]
+            self.problems.append(f"{where} = {shown(value)}, must be {' and '.join(filter(None, allowed))}")
         return number
 
     def array(self, data: Any, spec: Spec, where: str, shape: Sequence[tuple[str, int | None]]) -> Any:
@@ -184,41 +219,47 @@ class Reader:
                 raise ValueError("must be a text")
             _to_si(1.0, unit, spec.unit)
         except ValueError as e:
-            self.problems.append(f"{where} has unit {_shown(unit)}, {e}")
+            self.problems.append(f"{where} has unit {shown(unit)}, {e}")
         if bad or len(self.problems) > before:
             self._report(bad)
             return None
-        values = np.asarray(_to_si(np.asarray(data, dtype=float), unit, spec.unit), dtype=float)
+        try:
+            given = np.asarray(data, dtype=float)
+        except ValueError:
+            self.problems.append(f"{where} has lines of unequal length")
+            return None
+        values = np.asarray(_to_si(given, unit, spec.unit), dtype=float)
         for index in np.argwhere(~np.vectorize(spec.holds, otypes=[bool])(values)):
-            given = np.asarray(data)[tuple(index)]
-            bad.append(f"{where}{''.join(f'[{i + 1}]' for i in index)} = {_with_unit(given, unit)}, must be {spec.allowed()}")
+            place = "".join(f"[{i + 1}]" for i in index)
+            allowed = spec.allowed() or "a finite number"
+            bad.append(f"{where}{place} = {_with_unit(float(given[tuple(index)]), unit)}, must be {allowed}")
         self._report(bad)
         return values
 
     def _level(self, data: Any, where: str, shape: Sequence[tuple[str, int | None]], bad: list[str]) -> None:
         if not shape:
-            if isinstance(data, bool) or not isinstance(data, int | float) or not math.isfinite(data):
-                bad.append(f"{where} = {_shown(data)}, must be a finite number")
+            if isinstance(data, bool) or not isinstance(data, int | float) or not math.isfinite(_float(data)):
+                bad.append(f"{where} = {shown(data)}, must be a finite number")
             return
         (name, length), *rest = shape
         if not isinstance(data, list) or not data:
-            bad.append(f"{where} = {_shown(data)}, must be a list")
+            bad.append(f"{where} = {shown(data)}, must be a list")
         elif length is not None and len(data) != length:
             bad.append(f"{where} has {len(data)} entries, must have {length}, one for each {name}")
         else:
             for i, x in enumerate(data, 1):
                 self._level(x, f"{where}[{i}]", rest, bad)
 
-    def _report(self, bad: Sequence[str]) -> None:
-        self.problems.extend(bad[:NAMED])
-        if len(bad) > NAMED:
-            self.problems.append(f"and {len(bad) - NAMED} more like these")
+    def _report(self, bad: Sequence[str], named: int = NAMED) -> None:
+        self.problems.extend(bad[:named])
+        if len(bad) > named:
+            self.problems.append(f"and {len(bad) - named} more like these")
 
     def table(self, data: Any, spec: Spec, where: str) -> Table | None:
         """Return a map."""
         names = [a.name for a in spec.axes]
         if not isinstance(data, dict):
-            self.problems.append(f"{where} = {_shown(data)}, must be a table with {', '.join(names)} and values")
+            self.problems.append(f"{where} = {shown(data)}, must be a table with {', '.join(names)} and values")
             return None
         before = len(self.problems)
         self.keys(data, (*names, "values"), f"{where}.")
@@ -226,13 +267,20 @@ class Reader:
         points = {name: self._axis(data[name], Spec(unit, ""), f"{where}.{name}", name) for name, unit in spec.axes if name in data}
         shape = [(n, len(points[n]) if points.get(n) is not None else None) for n in names]
         values = self.array(data["values"], spec, f"{where}.values", shape) if "values" in data else None
-        return None if len(self.problems) > before else Table.of(*(points[n] for n in names), values=values, clip=spec.clip)
+        if len(self.problems) > before:
+            return None
+        try:
+            return Table.of(*(points[n] for n in names), values=values, clip=spec.clip)
+        except ValueError as e:
+            self.problems.append(f"{where}: {e}")
+            return None
 
     def _axis(self, data: Any, spec: Spec, where: str, name: str) -> Any:
         points = self.array(data, spec, where, [(name, None)])
         if points is not None:
             given = data["values"] if isinstance(data, dict) else data
-            falls = [(i, a, b) for i, (a, b) in enumerate(pairwise(given), 2) if b <= a]
+            # Points that differ by their last digits may be equal once converted.
+            falls = [(i, *given[i - 2 : i]) for i, (a, b) in enumerate(pairwise(points), 2) if b <= a]
             self._report([f"{where}[{i}] = {b:g} follows {a:g}, an axis must rise strictly" for i, a, b in falls])
         return points
 
@@ -271,7 +319,7 @@ class ComponentFile:
 
     def _repr_html_(self) -> str:
         facts = {"kind": self.kind, "source": self.source}
-        return card(self.name, self.title, facts, Grid(SHOWN, shown(self.component.parameters, self.values)))
+        return card(self.name, self.title, facts, Grid(DESCRIBED, described(self.component.parameters, self.values)))
 
     @property
     def component(self) -> type[Component]:
@@ -286,6 +334,42 @@ class ComponentFile:
     def build(self, **values: Any) -> Parameters:
         """Return the parameter set with some values added or replaced."""
         return self.component.parameters(**{**self.values, **values})
+
+    def to_toml(self) -> str:
+        """Return the component as the text of a file, in SI units; read back it gives the same bits."""
+        head = {"schema": SCHEMA, "kind": self.kind, "name": self.name, "title": self.title, "source": self.source}
+        return toml_text(head, {"parameters": written(self.component.parameters, self.values)})
+
+    def place(self, folder: Path | None = None) -> str:
+        """Return what a vehicle's file calls it: its name in the library, or its path, seen from `folder` where that is given."""
+        if str(_library().get(self.name, ("", ""))[1]) == self.path:
+            return self.name
+        return os.path.relpath(self.path, folder) if folder else os.path.abspath(self.path)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the component to a TOML file, whole or not at all; its name becomes that of the file.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or its name does not end in ``.toml``.
+
+        """
+        return save_toml(path, lambda name: replace(self, name=name).to_toml())
+
+
+def save_toml(path: str | Path, text: Callable[[str], str]) -> Path:
+    """Write `text` of the file's name, without its ending, to a file."""
+    target = Path(path)
+    if target.suffix != ".toml":
+        raise InputError(str(path), ["must end in .toml"])
+    try:
+        content = text(target.stem).encode()
+    except UnicodeEncodeError as e:
+        raise InputError(str(path), [f"{shown(e.object[e.start : e.end])} cannot be written in UTF-8"]) from e
+    with written_whole(target) as part:
+        part.write_bytes(content)
+    return target
 
 
 def parse_quantity(value: str | float, unit: str, where: str) -> float:

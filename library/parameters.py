@@ -101,14 +101,14 @@ class Parameters:
         return []
 
     def _repr_html_(self) -> str:
-        return card(type(self).__name__, "", {}, Grid(SHOWN, shown(type(self), vars(self))))
+        return card(type(self).__name__, "", {}, Grid(DESCRIBED, described(type(self), vars(self))))
 
 
-#: What `shown` tells of a parameter.
-SHOWN = ("parameter", "value", "unit", "meaning")
+#: What `described` tells of a parameter.
+DESCRIBED = ("parameter", "value", "unit", "meaning")
 
 
-def shown(kind: type[Parameters], values: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+def described(kind: type[Parameters], values: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
     """Yield each parameter with its value as texts; without a value and a default it is open."""
     for f in fields(kind):
         spec, value = spec_of(f), values.get(f.name, f.default)

@@ -18,6 +18,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+#: The search in C counts points in 16 bits.
+MOST_POINTS = 65_000
+
 
 class Axis(NamedTuple):
     """Name and SI unit of a table's axis."""
@@ -77,6 +80,11 @@ class Table:
             if np.any(np.diff(x) <= 0):
                 j = int(np.argmax(np.diff(x) <= 0))
                 raise ValueError(f"axis {i} must rise strictly, but {x[j + 1]:g} follows {x[j]:g}")
+            if len(x) > MOST_POINTS:
+                raise ValueError(f"axis {i} has {len(x)} points, must have at most {MOST_POINTS}")
+            # The search divides by the distance of points, and by that of the ends.
+            if np.any(np.diff(x) < 1e-290) or x[-1] / 2 - x[0] / 2 > 1e300:
+                raise ValueError(f"axis {i} has points too close to each other, or too far apart")
         if not np.all(np.isfinite(array)):
             where = tuple(int(k) + 1 for k in np.argwhere(~np.isfinite(array))[0])
             raise ValueError(f"the value at position {where} is missing or not a number")

@@ -18,14 +18,18 @@ from typing import Any, ClassVar, Protocol, TypeAlias, cast
 from halfshaft.library.component import Component
 from halfshaft.library.engine import EngineParameters
 from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.files import ComponentFile, Reader, component_names, read_component
+from halfshaft.library.files import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
 from halfshaft.library.final_drive import FinalDriveParameters
+from halfshaft.library.gearbox import MapGearboxParameters
 from halfshaft.library.generator import GeneratorParameters
 from halfshaft.library.motor import MotorParameters
 from halfshaft.library.notebook import Grid, card
-from halfshaft.library.parameters import SHOWN, Parameters, Spec, numbers, param, shown, spec_of
+from halfshaft.library.parameters import DESCRIBED, Parameters, Spec, described, numbers, param, spec_of
 from halfshaft.library.series_control import genset_locus
+from halfshaft.library.shift import ShiftParameters
 from halfshaft.library.tables import Table
+from halfshaft.library.texts import cleaned, name_problem
+from halfshaft.library.toml import inline, quantity, toml_text, written
 from halfshaft.library.wheel import WheelParameters
 
 Parts: TypeAlias = Mapping[str, ComponentFile]
@@ -101,6 +105,15 @@ class GensetLocus(Parameters):
 # The locus takes longer than all else here, and most changes leave engine and generator alone.
 _locus = lru_cache(maxsize=16)(genset_locus)
 
+#: A map of a gearbox serves ratios that are so near to its own.
+OTHER_RATIO = 0.01
+#: Shift lines that fit an engine end between this share of its top speed and that speed.
+LAST_SHIFT = 0.9
+#: How the source of a changed vehicle begins: its changes are not of the base's source.
+OWN = "own figures, on the base"
+#: A vehicle is at most so many bases away from one that has none.
+MOST_BASES = 20
+
 RULES: dict[str, Any] = {"top-speed": TopSpeed, "genset-locus": GensetLocus}
 
 
@@ -127,6 +140,10 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         """Derive and check all parameters."""
+        if problem := name_problem(self.name):
+            raise InputError(f"vehicle '{self.name}'", [problem])
+        object.__setattr__(self, "title", cleaned(self.title))
+        object.__setattr__(self, "source", cleaned(self.source))
         object.__setattr__(self, "parameters", _parameter_sets(self))
 
     def __repr__(self) -> str:
@@ -136,9 +153,13 @@ class Vehicle:
     def _repr_html_(self) -> str:
         facts = {"powertrain": self.powertrain, "mass": f"{self.values['body.m']:g} kg", "source": self.source}
         parts = [(role, part.name, part.kind, part.title) for role, part in self.parts.items()]
-        rows = [(f"{role}.{name}", *rest) for role, p in self.parameters.items() for name, *rest in shown(type(p), vars(p))]
+        rows = [(f"{role}.{name}", *rest) for role, p in self.parameters.items() for name, *rest in described(type(p), vars(p))]
         return card(
-            self.name, self.title, facts, Grid(("role", "component", "kind", "title"), parts), Grid(SHOWN, rows, f"{len(rows)} parameters")
+            self.name,
+            self.title,
+            facts,
+            Grid(("role", "component", "kind", "title"), parts),
+            Grid(DESCRIBED, rows, f"{len(rows)} parameters"),
         )
 
     @property
@@ -156,6 +177,11 @@ class Vehicle:
         """Unit, meaning and bounds of all numbers."""
         return _specs(self.parts)
 
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What was made for other parts or numbers than this vehicle has; runs show it among their warnings."""
+        return tuple(filter(None, (_map_of_other_ratios(self), _lines_of_another_engine(self))))
+
     def components(self) -> dict[str, Component]:
         """Return the components by role, from the wheel to the source."""
         return {role: part.component(self.parameters[role]) for role, part in self.parts.items()}
@@ -165,7 +191,7 @@ class Vehicle:
         reader = Reader()
         given = _numbers(reader, self.parts, values, "", plain=True)
         reader.finish(f"vehicle '{self.name}'")
-        return replace(self, given={**self.given, **given})
+        return replace(self, given={**self.given, **given}, source=_source_on(self))
 
     def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library or paths of files."""
@@ -174,10 +200,40 @@ class Vehicle:
         reader.finish(f"vehicle '{self.name}'")
         return replace(
             self,
+            source=_source_on(self),
             parts=_ordered(self.powertrain, {**self.parts, **new}),
             given=_without(self.given, new),
             rules=_without(self.rules, new),
         )
+
+    def to_toml(self, folder: Path | None = None) -> str:
+        """Return the vehicle as the text of a file, in SI units; read back it gives the same bits.
+
+        Parts from files of their own are named by their place, seen from `folder` where that is given.
+        """
+        head = {"schema": SCHEMA, "kind": "vehicle", "name": self.name, "title": self.title, "source": self.source}
+        derive = {}
+        for target, rule in self.rules.items():
+            values = {f.name: getattr(rule, f.name) for f in fields(cast(Parameters, rule))}
+            name = next(name for name, kind in RULES.items() if isinstance(rule, kind))
+            derive[target] = inline({"rule": name, **written(RULES[name], values)})
+        sections: dict[str, Mapping[str, Any]] = {
+            "parts": {role: part.place(folder) for role, part in self.parts.items()},
+            "set": {name: quantity(value, self.specs[name]) for name, value in self.given.items()},
+            "derive": derive,
+        }
+        return toml_text({**head, "powertrain": self.powertrain}, sections)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the vehicle to a TOML file, whole or not at all; its name becomes that of the file.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or its name does not end in ``.toml``.
+
+        """
+        return save_toml(path, lambda name: replace(self, name=name).to_toml(Path(path).parent))
 
     @classmethod
     def load(cls, source: str | Path) -> Vehicle:
@@ -222,7 +278,7 @@ def _parts(reader: Reader, powertrain: str, names: Mapping[str, Any], where: str
         if role not in roles:
             continue
         if not isinstance(name, str | Path):
-            reader.problems.append(f"{where}{role} = {name}, must be the name of a component")
+            reader.problems.append(f"{where}{role} = {shown(name)}, must be the name of a component")
             continue
         path = folder / Path(name) if isinstance(folder, Path) and str(name).endswith(".toml") else name
         derived = [rule.target.removeprefix(f"{role}.") for rule in RULES.values() if rule.target.startswith(f"{role}.")]
@@ -236,7 +292,8 @@ def _parts(reader: Reader, powertrain: str, names: Mapping[str, Any], where: str
         else:
             fitting = [n for kind in roles[role] for n in component_names(kind)]
             reader.problems.append(
-                f'{where}{role} = "{name}" is of kind {part.kind}, must be {" or ".join(roles[role])}{nearest(str(name), fitting)}'
+                f"{where}{role} = {shown(str(name))} is of kind {part.kind}, "
+                f"must be {' or '.join(roles[role])}{nearest(str(name), fitting)}"
             )
     return parts
 
@@ -259,7 +316,7 @@ def _rules(reader: Reader, parts: Parts, data: Mapping[str, Any], where: str) ->
         fitting = [n for n, rule in RULES.items() if rule.target == target]
         if name not in fitting:
             if target in targets:
-                reader.problems.append(f"{place} has rule {name!r}, must be {' or '.join(fitting)}")
+                reader.problems.append(f"{place} has rule {shown(name)}, must be {' or '.join(fitting)}")
             continue
         before = len(reader.problems)
         values = reader.parameters({k: v for k, v in settings.items() if k != "rule"}, RULES[name], f"{place}.")
@@ -274,6 +331,34 @@ def _flat(data: Mapping[str, Any]) -> dict[str, Any]:
     return {k: x for k, x in data.items() if k not in nested} | {f"{r}.{k}": x for r, part in nested.items() for k, x in part.items()}
 
 
+def _map_of_other_ratios(vehicle: Vehicle) -> str | None:
+    gearbox = vehicle.parameters.get("gearbox")
+    if not isinstance(gearbox, MapGearboxParameters):
+        return None
+    part = vehicle.parts["gearbox"]
+    pairs = enumerate(zip(part.values["ratios"], gearbox.ratios, strict=True), 1)
+    gears = [f"{own:.4g} in gear {i}, made for {made:.4g}" for i, (made, own) in pairs if abs(own / made - 1) > OTHER_RATIO]
+    return f"the efficiency map of gearbox {part.name} is used at ratios that it was not made for: {', '.join(gears)}" if gears else None
+
+
+def _lines_of_another_engine(vehicle: Vehicle) -> str | None:
+    shift, engine = vehicle.parameters.get("shift"), vehicle.parameters.get("engine")
+    if not isinstance(shift, ShiftParameters) or not isinstance(engine, EngineParameters):
+        return None
+    last, top = shift.up.inside(0)[1], engine.tau_max.inside(0)[1] * engine.speed_scale
+    if LAST_SHIFT <= last / top <= 1:
+        return None
+    lines, own = vehicle.parts["shift"].name, vehicle.parts["engine"].name
+    return f"the shift lines of {lines} end at {last:.0f} rad/s, engine {own} at {top:.0f} rad/s: they were made for another engine"
+
+
+def _source_on(base: Vehicle | None) -> str:
+    """Return where the figures come from that differ from a base: from whoever changed it."""
+    if base is None:
+        return ""
+    return base.source if base.source.startswith(OWN) else f"{OWN} {base.name} ({base.source})"
+
+
 def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
     path: Path | Traversable = Path(source)
     if isinstance(source, str) and not source.endswith(".toml"):
@@ -281,7 +366,7 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
         if source not in library:
             raise InputError(f"vehicle '{source}'", [f"not in the library{nearest(source, library)}"])
         path = library[source]
-    if str(path) in above:
+    if str(path) in above or len(above) > MOST_BASES:
         raise InputError(str(path), ["base leads back to the vehicle itself"])
     reader = Reader()
     data = reader.toml(path, ["vehicle"], {"powertrain": str, "base": str, "parts": dict, "set": dict, "derive": dict})
@@ -295,10 +380,10 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
     powertrain = data.get("powertrain", base.powertrain if base else "")
     if powertrain not in POWERTRAINS:
         if "powertrain" in data:
-            reader.problems.append(f'powertrain = "{powertrain}" is not known{nearest(powertrain, POWERTRAINS)}')
+            reader.problems.append(f"powertrain = {shown(powertrain)} is not known{nearest(powertrain, POWERTRAINS)}")
         reader.finish(str(path))
     elif base and powertrain != base.powertrain:
-        reader.problems.append(f'powertrain = "{powertrain}", must be that of its base, "{base.powertrain}"')
+        reader.problems.append(f'powertrain = {shown(powertrain)}, must be that of its base, "{base.powertrain}"')
     new = _parts(reader, powertrain, data.get("parts", {}), "parts.", folder)
     parts = _ordered(powertrain, {**(base.parts if base else {}), **new})
     reader.required({**parts, **data.get("parts", {})}, POWERTRAINS[powertrain], "parts.")
@@ -310,7 +395,7 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
         return Vehicle(
             name=data["name"],
             title=data["title"],
-            source=data.get("source", base.source if base else ""),
+            source=data["source"] if "source" in data else _source_on(base),
             powertrain=powertrain,
             parts=parts,
             given={**(_without(base.given, new) if base else {}), **given},

@@ -155,7 +155,7 @@ def test_every_bad_line_is_named(tmp_path):
     text = "# name: c\ntime_s,speed_mps\n0,0\n1,nan\n1,2\n0.5,-3\n2,x\n3\n"
     assert problems(write(tmp_path, text)) == [
         "line 4: speed_mps = nan, must be a finite number",
-        "line 6: speed_mps = -3, must be >= 0",
+        "line 6: speed_mps = -3, must be >= 0 and <= 1000 m/s (what is above -0.5 m/s, of a logger at rest, is set to 0)",
         "line 7: speed_mps = 'x', must be a number",
         "line 8 has 1 entries, must have 2",
         "line 5: time_s = 1 follows 1, it must rise",
@@ -190,4 +190,4 @@ def test_a_distance_that_falls_is_refused(tmp_path):
 def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(InputError) as e:
         Cycle(name="c", time=np.array([0.0, 0.0]), speed=np.array([-1.0]))
-    assert e.value.problems == ("speed has 1 points, time has 2", "time must rise", "speed must be >= 0 m/s")
+    assert e.value.problems == ("speed has 1 points, time has 2", "time must rise", "speed = -1, must be >= 0 and <= 1000 m/s")

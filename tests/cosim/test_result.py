@@ -1,3 +1,6 @@
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,8 +79,28 @@ def test_a_file_that_is_no_result_is_refused(content, tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError, match="is not a result of halfshaft"):
         Result.load(path)
-    with pytest.raises(InputError, match="is not a result of halfshaft"):
+    with pytest.raises(InputError, match="cannot be read: No such file"):
         Result.load(tmp_path / "missing.nc")
+
+
+@pytest.mark.parametrize("key", ["inputs", "outputs", "energies", "highest", "last"])
+@pytest.mark.parametrize("value", [None, 3, [], {}, "x"])
+def test_a_result_with_a_changed_text_is_refused(result, tmp_path, key, value):
+    path = tmp_path / "run.nc"
+    plain = {**json.loads(result.dataset.attrs["result"]), key: value}
+    result.dataset.assign_attrs(result=json.dumps(plain)).to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(InputError, match="is not a result of halfshaft"):
+        Result.load(path)
+
+
+def test_doubts_about_cycle_and_vehicle_are_warnings_and_are_saved(result, tmp_path):
+    cycle = Cycle.load("us06")
+    noise = replace(cycle, speed=np.maximum(cycle.speed + 5 * (np.arange(len(cycle.speed)) % 2), 0))
+    other = run(Vehicle.load("small-car-electric").with_parts({"motor": "pm-32kw"}), noise)
+    assert any("made for 6.673" in text for text in other.warnings)
+    assert any("asks for more than 6 m/s2 at" in text for text in other.warnings)
+    assert Result.load(other.save(tmp_path / "run.nc")).warnings == other.warnings
+    assert not any("m/s2" in text or "made for" in text for text in result.warnings)
 
 
 @pytest.mark.parametrize("car", ["small-car-electric", "small-car-series", "small-car-conventional"])

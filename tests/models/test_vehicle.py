@@ -1,6 +1,7 @@
 import pytest
 
 from halfshaft.library.errors import InputError
+from halfshaft.library.parameters import tables
 from halfshaft.models.vehicle import POWERTRAINS, Vehicle, vehicle_names
 
 SERIES = Vehicle.load("small-car-series")
@@ -155,7 +156,7 @@ def test_a_bad_file_names_every_problem(tmp_path):
         "set.body.mm is not known, did you mean 'body.m'?",
         "set.wheel.r = 0.3, must have a unit such as m",
         "derive.body.m is not known",
-        "derive.gearbox.ratios has rule 'top-sped', must be top-speed",
+        'derive.gearbox.ratios has rule "top-sped", must be top-speed',
     ]
 
 
@@ -191,3 +192,30 @@ def test_a_vehicle_cannot_be_its_own_base(tmp_path):
 
 def test_a_component_file_is_no_vehicle(tmp_path):
     assert 'kind = "body" is not known, must be vehicle' in problems(Vehicle.load, write(tmp_path, FILE.replace('"vehicle"', '"body"')))
+
+
+def saved(vehicle):
+    """Return all that makes a vehicle, comparable."""
+    parts = {role: (p.kind, p.name, p.title, p.source) for role, p in vehicle.parts.items()}
+    maps = {f"{role}.{n}": t.key for role, p in vehicle.parameters.items() for n, t in tables(p)}
+    heads = vehicle.name, vehicle.title, vehicle.source, vehicle.powertrain
+    return heads, parts, vehicle.given, vehicle.rules, vehicle.values, maps
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_every_vehicle_comes_back_to_the_bit(tmp_path, name):
+    vehicle = Vehicle.load(name)
+    assert saved(Vehicle.load(vehicle.save(tmp_path / f"{name}.toml"))) == saved(vehicle)
+
+
+def test_a_saved_vehicle_keeps_what_was_changed(tmp_path):
+    motor = SERIES.parts["motor"].save(tmp_path / "mine.toml")
+    car = SERIES.with_parts({"motor": motor}).with_values({"body.m": "1.5 t", "motor.J": 1 / 3, "gearbox.ratios_1": 5.1})
+    path = car.save(tmp_path / "car.toml")
+    assert 'motor = "mine.toml"' in path.read_text()
+    again = Vehicle.load(path)
+    assert again.name == "car"
+    assert saved(again)[1:] == saved(car)[1:]
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    assert Vehicle.load(write(elsewhere, car.to_toml(), car.name)).values == car.values
