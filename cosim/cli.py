@@ -290,13 +290,18 @@ def _bench(as_json: Json = False) -> None:
     \b
     Examples:
       halfshaft list vehicles
-      halfshaft list components
+      halfshaft list components --kind motor
     """,
 )
-def _list(what: Annotated[Shelf, typer.Argument(show_default=False)]) -> None:
+def _list(
+    what: Annotated[Shelf, typer.Argument(show_default=False)],
+    kind: Annotated[str | None, typer.Option(metavar="KIND", help="Only components of this kind.")] = None,
+) -> None:
     from halfshaft.cosim.cli_show import print_list
 
-    print_list(what)
+    if kind is not None and what != "components":
+        raise HalfshaftError(f"--kind {kind}: goes with components, not with {what}")
+    print_list(what, kind)
 
 
 @app.command(
@@ -308,13 +313,27 @@ def _list(what: Annotated[Shelf, typer.Argument(show_default=False)]) -> None:
       halfshaft show small-car-series
       halfshaft show si-41kw
       halfshaft show us06
-      halfshaft show my-car.toml
+      halfshaft show si-41kw --plot map.png
+      halfshaft show small-car-series --toml > my-car.toml
     """,
 )
-def _show(name: Annotated[str, typer.Argument(metavar="NAME", help="Name in the library, or a file.", show_default=False)]) -> None:
-    from halfshaft.cosim.cli_show import print_named
+def _show(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name in the library, or a file.", show_default=False)],
+    toml: Annotated[bool, typer.Option("--toml", help="Print it as a file to edit.")] = False,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the maps of a component (.png, .svg, .pdf).")] = None,
+) -> None:
+    from halfshaft.cosim.cli_show import draw, print_named, print_toml
 
+    checks = _Checks()
+    checks.target(plot, "--plot")
+    checks.raise_problems()
+    if plot is not None:
+        draw(name, plot)
+    if toml:
+        print_toml(name)
+        return
     print_named(name)
+    print_written(plot)
 
 
 class _Checks:

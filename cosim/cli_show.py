@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
+import typer
 from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
@@ -16,15 +17,16 @@ from halfshaft.library.catalog import KINDS
 from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.files import LARGEST, ComponentFile, component_names, read_component
 from halfshaft.library.parameters import described
+from halfshaft.library.tables import Table as Map
 from halfshaft.library.texts import read_text
 from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
 
 Rows = tuple[list[str], list[list[str]]]
 
 
-def print_list(what: str) -> None:
-    """Print what the library has."""
-    headings, rows = {"vehicles": _vehicle_rows, "components": _component_rows, "cycles": _cycle_rows}[what]()
+def print_list(what: str, kind: str | None = None) -> None:
+    """Print what the library has; of components, all or those of one kind."""
+    headings, rows = _component_rows(kind) if what == "components" else _vehicle_rows() if what == "vehicles" else _cycle_rows()
     table = new_table()
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="right" if "[" in heading else "left", no_wrap=i == 0, overflow="fold")
@@ -38,9 +40,21 @@ def _vehicle_rows() -> Rows:
     return ["vehicle", "powertrain", "mass \\[kg]", "title"], [[v.name, v.powertrain, f"{v.values['body.m']:g}", v.title] for v in vehicles]
 
 
-def _component_rows() -> Rows:
-    components = [_component(name) for name in component_names()]
-    return ["component", "kind", "title"], [[c.name, c.kind, c.title] for c in sorted(components, key=lambda c: c.kind)]
+def _component_rows(kind: str | None) -> Rows:
+    components = [_component(name) for name in component_names(kind)]
+    rows = [[c.name, c.kind, _power(c), _mass(c), c.title] for c in sorted(components, key=lambda c: c.kind)]
+    return ["component", "kind", "power \\[kW]", "mass \\[kg]", "title"], rows
+
+
+def _power(c: ComponentFile) -> str:
+    """Return the largest continuous power of what has an envelope of torque over speed."""
+    envelope = c.values.get("tau_max")
+    return f"{(envelope.points[0] * envelope.values).max() / 1000:.1f}" if isinstance(envelope, Map) else ""
+
+
+def _mass(c: ComponentFile) -> str:
+    mass = c.values.get("mass", 0.0) * c.values.get("n_modules", 1.0)
+    return f"{mass:.0f}" if mass else ""
 
 
 def _cycle_rows() -> Rows:
@@ -61,6 +75,24 @@ def print_named(name: str) -> None:
         _show_cycle(found)
     else:
         _show_component(found)
+
+
+def print_toml(name: str) -> None:
+    """Print a vehicle or a component as the text of a file."""
+    found = _find(name)
+    if isinstance(found, Cycle):
+        raise InputError(f"'{name}'", ["is a cycle, a CSV file; only vehicles and components are TOML files"])
+    typer.echo(found.to_toml(), nl=False)
+
+
+def draw(name: str, path: Path) -> None:
+    """Draw the maps of a component."""
+    from halfshaft.cosim.maps import plot_maps
+
+    found = _find(name)
+    if not isinstance(found, ComponentFile):
+        raise InputError(f"'{name}'", ["only the maps of a component are drawn; 'halfshaft show' names the components of a vehicle"])
+    plot_maps(found, path)
 
 
 def _find(name: str) -> Vehicle | Cycle | ComponentFile:
