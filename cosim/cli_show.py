@@ -41,7 +41,7 @@ def _vehicle_rows() -> Rows:
 
 
 def _component_rows(kind: str | None) -> Rows:
-    components = [_component(name) for name in component_names(kind)]
+    components = [any_component(name) for name in component_names(kind)]
     rows = [[c.name, c.kind, _power(c), _mass(c), c.title] for c in sorted(components, key=lambda c: c.kind)]
     return ["component", "kind", "power \\[kW]", "mass \\[kg]", "title"], rows
 
@@ -99,11 +99,11 @@ def _find(name: str) -> Vehicle | Cycle | ComponentFile:
     if name.lower().endswith(".csv"):
         return Cycle.load(name)
     if name.endswith(".toml"):
-        return _component(name) if _is_component(Path(name)) else Vehicle.load(name)
+        return any_component(name) if _is_component(Path(name)) else Vehicle.load(name)
     if name in vehicle_names():
         return Vehicle.load(name)
     if name in component_names():
-        return _component(name)
+        return any_component(name)
     if name.lower() in cycle_names():
         return Cycle.load(name)
     known = [*vehicle_names(), *component_names(), *cycle_names()]
@@ -117,7 +117,8 @@ def _is_component(path: Path) -> bool:
         return False  # the reader of vehicles says what is wrong
 
 
-def _component(name: str) -> ComponentFile:
+def any_component(name: str) -> ComponentFile:
+    """Return a component, also one that leaves something open for a vehicle to decide."""
     try:
         return read_component(name)
     except InputError:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.cosim.plot import _EDGE, _INK, _LINE, _RUNS, _SOFT, _STYLE, Picture, _dress, plot_problems
+from halfshaft.cosim.plot import COLOURS, EDGE, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
 from halfshaft.library.errors import InputError
 from halfshaft.library.files import ComponentFile
 from halfshaft.library.parameters import Parameters, Spec, spec_of
@@ -62,12 +62,12 @@ def plot_maps(file: ComponentFile, path: str | Path | None = None) -> Figure:
         raise InputError(str(path) if path is not None else "plot", problems)
     columns = min(2, len(maps))
     rows = -(-len(maps) // columns)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Picture(figsize=(_WIDTH * columns if columns > 1 else 1.4 * _WIDTH, _HEIGHT * rows + 0.55), layout="constrained")
-        figure.suptitle(f"{file.name}   {file.title}", x=0.02, ha="left", fontsize=10, color=_INK)
+        figure.suptitle(f"{file.name}   {file.title}", x=0.02, ha="left", fontsize=10, color=INK)
         grid = np.atleast_1d(np.asarray(figure.subplots(rows, columns))).ravel()
         for ax, one in zip(grid, maps, strict=False):
-            _dress(ax)
+            dress(ax)
             _draw(ax, one, within[one.title])
         for ax in grid[len(maps) :]:
             ax.set_axis_off()
@@ -101,8 +101,8 @@ def _maps(file: ComponentFile) -> Iterator[_Map]:
 
 
 def _shown(name: str, spec: Spec, axes: tuple[Axis, ...], points: tuple[Array, ...], values: Array) -> _Map:
-    edges = [_EDGE.get(a.unit, (a.unit, 1.0, 0.0)) for a in axes]
-    unit, factor, offset = _EDGE.get(spec.unit, (spec.unit, 1.0, 0.0))
+    edges = [EDGE.get(a.unit, (a.unit, 1.0, 0.0)) for a in axes]
+    unit, factor, offset = EDGE.get(spec.unit, (spec.unit, 1.0, 0.0))
     named = tuple(Axis(a.name, edge[0]) for a, edge in zip(axes, edges, strict=True))
     moved = tuple(x * edge[1] + edge[2] for x, edge in zip(points, edges, strict=True))
     return _Map(f"{name}: {spec.doc}", unit, named, moved, values * factor + offset)
@@ -113,31 +113,31 @@ def _label(name: str, unit: str) -> str:
 
 
 def _draw(ax: Axes, m: _Map, envelopes: list[_Map]) -> None:
-    ax.set_title(m.title, loc="left", fontsize=8.5, color=_SOFT, wrap=True)
+    ax.set_title(m.title, loc="left", fontsize=8.5, color=SOFT, wrap=True)
     name = m.title.partition(":")[0]
     # An axis of few points is told by lines, over the axis of many.
     few = int(np.argmin([len(x) for x in m.points])) if min(len(x) for x in m.points) <= _FEW else None
     if len(m.points) == 1:
-        ax.plot(m.points[0], m.values, color=_RUNS[0], lw=1.4, marker="o", ms=2.5)
+        ax.plot(m.points[0], m.values, color=COLOURS[0], lw=1.4, marker="o", ms=2.5)
         ax.set_ylabel(_label(name, m.unit))
         ax.set_xlabel(_label(*m.axes[0]))
     elif few is not None:
         over = 1 - few
         for i, x in enumerate(m.points[few]):
-            ax.plot(m.points[over], m.values.take(i, axis=few), color=_RUNS[i], lw=1.4, label=f"{x:.4g}")
+            ax.plot(m.points[over], m.values.take(i, axis=few), color=COLOURS[i], lw=1.4, label=f"{x:.4g}")
         ax.set_ylabel(_label(name, m.unit))
         ax.set_xlabel(_label(*m.axes[over]))
-        ax.legend(title=_label(*m.axes[few]), frameon=False, fontsize=7.5, title_fontsize=7.5, labelcolor=_SOFT)
+        ax.legend(title=_label(*m.axes[few]), frameon=False, fontsize=7.5, title_fontsize=7.5, labelcolor=SOFT)
     else:
         ax.grid(False)
         x, y = m.points
         drawn = ax.contourf(x, y, m.values.T, levels=14, cmap="viridis")
         bar = ax.figure.colorbar(drawn, ax=ax)
-        bar.set_label(_label(name, m.unit), color=_SOFT)
-        bar.ax.tick_params(labelsize=7.5, color=_LINE, labelcolor=_SOFT)
+        bar.set_label(_label(name, m.unit), color=SOFT)
+        bar.ax.tick_params(labelsize=7.5, color=LINE, labelcolor=SOFT)
         for other in envelopes:
             ax.plot(other.points[0], other.values, color="white", lw=2.4)
-            ax.plot(other.points[0], other.values, color=_INK, lw=1.1)
+            ax.plot(other.points[0], other.values, color=INK, lw=1.1)
         ax.set_xlim(x[0], x[-1])
         ax.set_ylim(y[0], y[-1])
         ax.set_xlabel(_label(*m.axes[0]))

@@ -30,15 +30,15 @@ FORMATS = ("png", "svg", "pdf")
 # The palette of Okabe and Ito, which colour-blind readers tell apart.
 _BLUE, _ORANGE, _GREEN, _RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 #: Colours of runs over each other; more runs than these are not told apart.
-_RUNS = (_BLUE, _RED, _GREEN, _ORANGE, "#CC79A7", "#56B4E9", "#222222")
-_INK, _SOFT, _LINE, _FAINT = "#222222", "#6b6b6b", "#9a9a9a", "#e3e3e3"
-_STYLE: Any = {
+COLOURS = (_BLUE, _RED, _GREEN, _ORANGE, "#CC79A7", "#56B4E9", "#222222")
+INK, SOFT, LINE, _FAINT = "#222222", "#6b6b6b", "#9a9a9a", "#e3e3e3"
+STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["Inter", "Helvetica Neue", "Arial", "Liberation Sans", "DejaVu Sans"],
-    "font.size": 9.0, "text.color": _INK, "lines.solid_joinstyle": "round", "lines.solid_capstyle": "round",
+    "font.size": 9.0, "text.color": INK, "lines.solid_joinstyle": "round", "lines.solid_capstyle": "round",
     "axes.unicode_minus": True, "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip
 #: What a reader sees for an SI unit: unit, factor and offset.
-_EDGE = {"W": ("kW", 1e-3, 0.0), "m/s": ("km/h", 3.6, 0.0), "K": ("\u00b0C", 1.0, -273.15), "J": ("Wh", 1 / 3600, 0.0)}
+EDGE = {"W": ("kW", 1e-3, 0.0), "m/s": ("km/h", 3.6, 0.0), "K": ("\u00b0C", 1.0, -273.15), "J": ("Wh", 1 / 3600, 0.0)}
 #: Units of the time axis by the length that they are good for [s].
 _TIMES = ((1800.0, "s", 1.0), (3 * 3600.0, "min", 60.0), (float("inf"), "h", 3600.0))
 _LOSSES = {
@@ -103,8 +103,8 @@ def plot_run(
     problems = plot_problems(Path(path)) if path is not None else []
     if not all(len(r.history) for r in results):
         problems.append("the run has no time series to draw" if not others else "a run has no time series to draw")
-    if len(results) > len(_RUNS):
-        problems.append(f"{len(results)} runs, at most {len(_RUNS)} can be told apart")
+    if len(results) > len(COLOURS):
+        problems.append(f"{len(results)} runs, at most {len(COLOURS)} can be told apart")
     if labels is not None and len(labels) != len(results):
         problems.append(f"{len(labels)} labels for {len(results)} runs")
     where = str(path) if path is not None else "plot"
@@ -122,7 +122,7 @@ def plot_run(
     if problems:
         raise InputError(where, problems)
     drawn = {name: known[name] for name in names}
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = _figure(runs, drawn) if own is None else _into(drawn, own)
         if path is not None:
             with written_whole(path) as part:
@@ -158,7 +158,7 @@ class _Runs:
 
     def coloured(self) -> list[tuple[Result, Array, str, str]]:
         """Return each run with its times, its colour and its label."""
-        return [(r, r.time * self.second, c, label) for r, c, label in zip(self.results, _RUNS, self.labels, strict=False)]
+        return [(r, r.time * self.second, c, label) for r, c, label in zip(self.results, COLOURS, self.labels, strict=False)]
 
 
 def _start(result: Result) -> float:
@@ -252,7 +252,7 @@ def _figure(runs: _Runs, panels: Mapping[str, _Panel]) -> Figure:
         y -= panel.height + panel.above
         left = _LEFT if panel.timed else _LEFT + 1.0
         ax = figure.add_axes((left / _WIDTH, y / height, (_WIDTH - left - _RIGHT) / _WIDTH, panel.height / height))
-        _dress(ax)
+        dress(ax)
         panel.draw(ax)
         if panel.timed:
             ax.set_xlabel(ax.get_xlabel() if name == timed[-1] else "")
@@ -262,18 +262,18 @@ def _figure(runs: _Runs, panels: Mapping[str, _Panel]) -> Figure:
     return figure
 
 
-def _dress(ax: Axes) -> None:
+def dress(ax: Axes) -> None:
     """Give axes the style of all; said to them, not left to settings that may have changed when they are drawn."""
     ax.set_axisbelow(True)
     ax.grid(axis="y", color=_FAINT, linewidth=0.7)
     ax.spines[["top", "right"]].set_visible(False)
-    ax.spines[["left", "bottom"]].set(color=_LINE, linewidth=0.7)
-    ax.tick_params(color=_LINE, labelcolor=_SOFT, labelsize=9)
+    ax.spines[["left", "bottom"]].set(color=LINE, linewidth=0.7)
+    ax.tick_params(color=LINE, labelcolor=SOFT, labelsize=9)
     ax.tick_params(axis="x", length=3.5)
-    ax.tick_params(axis="x", which="minor", length=2.0, color=_LINE)
+    ax.tick_params(axis="x", which="minor", length=2.0, color=LINE)
     ax.tick_params(axis="y", length=0.0)
-    ax.xaxis.label.set_color(_SOFT)
-    ax.yaxis.label.set_color(_SOFT)
+    ax.xaxis.label.set_color(SOFT)
+    ax.yaxis.label.set_color(SOFT)
 
 
 def _facts(result: Result) -> list[str]:
@@ -299,15 +299,15 @@ def _title(figure: Figure, runs: _Runs) -> None:
     title = same[0] if inputs[0].vehicle in same or len(same) == 1 else f"{len(inputs)} runs"
     aside = [text for text in same if text != title]
     figure.text(x, 1 - 0.34 / height, title, fontsize=14, fontweight="bold", va="baseline")
-    figure.text(1 - _RIGHT / width, 1 - 0.34 / height, ", ".join(aside), fontsize=9.5, ha="right", va="baseline", color=_SOFT)
+    figure.text(1 - _RIGHT / width, 1 - 0.34 / height, ", ".join(aside), fontsize=9.5, ha="right", va="baseline", color=SOFT)
     for i, (result, _, colour, label) in enumerate(runs.coloured()):
         y = 1 - (0.57 + 0.24 * i) / height
         if runs.one:
-            figure.text(x, y, "   \u00b7   ".join(_facts(result)), va="baseline", color=_SOFT)
+            figure.text(x, y, "   \u00b7   ".join(_facts(result)), va="baseline", color=SOFT)
         else:
             figure.add_artist(Line2D([x, x + 0.2 / width], [y + 0.045 / height] * 2, color=colour, lw=2.2))
             figure.text(x + 0.3 / width, y, label, va="baseline")
-            figure.text(1 - _RIGHT / width, y, "  \u00b7  ".join(_facts(result)[1:]), va="baseline", ha="right", color=_SOFT)
+            figure.text(1 - _RIGHT / width, y, "  \u00b7  ".join(_facts(result)[1:]), va="baseline", ha="right", color=SOFT)
 
 
 def _over_time(ax: Axes, runs: _Runs, label: str) -> None:
@@ -346,8 +346,8 @@ def _grade(ax: Axes, runs: _Runs) -> None:
         flat = np.sqrt(np.maximum(ahead**2 - up**2, 0.0))
         # A vehicle that stands tells no grade.
         grade = np.divide(100 * up, flat, out=np.full(len(t), np.nan), where=flat > 1e-3)
-        ax.step(t, grade, where="pre", color=_SOFT if runs.one else colour, lw=1.0)
-    ax.axhline(0, color=_LINE, lw=0.7)
+        ax.step(t, grade, where="pre", color=SOFT if runs.one else colour, lw=1.0)
+    ax.axhline(0, color=LINE, lw=0.7)
     ax.yaxis.set_major_locator(MaxNLocator(3))
     _over_time(ax, runs, "grade [%]")
 
@@ -359,7 +359,7 @@ def _power(ax: Axes, runs: _Runs, powers: Sequence[tuple[str, str, str]]) -> Non
             ax.fill_between(t, 0, result[name] / 1e3, color=colour, alpha=0.35, lw=0, label=label)
         else:
             ax.plot(t, result[name] / 1e3, color=colour, lw=0.9, label=label)
-    ax.axhline(0, color=_LINE, lw=0.7)
+    ax.axhline(0, color=LINE, lw=0.7)
     ax.margins(y=0.08)
     ax.yaxis.set_major_locator(MaxNLocator(5))
     _over_time(ax, runs, "power [kW]")
@@ -371,7 +371,7 @@ def _output(ax: Axes, runs: _Runs, name: str, label: str) -> None:
     for r, t, colour, _ in runs.coloured():
         for d in r.outputs:
             if d.name == name:
-                unit, factor, offset = _EDGE.get(d.unit, (d.unit, 1.0, 0.0))
+                unit, factor, offset = EDGE.get(d.unit, (d.unit, 1.0, 0.0))
                 ax.plot(t, r[name] * factor + offset, color=colour, lw=0.9)
     ax.margins(y=0.08)
     ax.yaxis.set_major_locator(MaxNLocator(4))
@@ -441,11 +441,11 @@ def _energy(ax: Axes, runs: _Runs, bars: Sequence[Sequence[_Bar]]) -> None:
         total = sum(bar.energy for bar in of_run) or 1.0
         for bar in of_run:
             x, y = bar.energy / 3600, order.index(bar.label) + (i - (len(bars) - 1) / 2) * thick
-            ax.barh(y, x, color=_KINDS[bar.kind] if runs.one else _RUNS[i], height=thick * (1 if runs.one else 0.9))
+            ax.barh(y, x, color=_KINDS[bar.kind] if runs.one else COLOURS[i], height=thick * (1 if runs.one else 0.9))
             text = (f"{x:,.0f}" if abs(x) >= 10 else f"{x:.1f}").replace("-", "\u2212").replace(",", "\u2009")
             share = f"{bar.energy / total:.1%}".replace("-", "\u2212")
-            ax.text(max(x, 0) + 0.01 * span, y, f"{text}   {share}", va="center_baseline", fontsize=8 if runs.one else 7, color=_SOFT)
-    ax.axvline(0, color=_LINE, lw=0.7)
+            ax.text(max(x, 0) + 0.01 * span, y, f"{text}   {share}", va="center_baseline", fontsize=8 if runs.one else 7, color=SOFT)
+    ax.axvline(0, color=LINE, lw=0.7)
     ax.set_yticks(range(len(order)), order)
     ax.set_ylim(len(order) - 0.4, -0.6)
     ax.set_xlim(lowest * 1.05, 1.14 * span)
@@ -456,14 +456,14 @@ def _energy(ax: Axes, runs: _Runs, bars: Sequence[Sequence[_Bar]]) -> None:
     if len(kinds) > 1:
         ax.legend(
             handles=[Patch(color=_KINDS[kind], label=kind) for kind in kinds], loc="lower right", bbox_to_anchor=(1, 1.0), ncols=3,
-            borderaxespad=0.3, borderpad=0.1, handlelength=1.0, handletextpad=0.5, columnspacing=1.5, fontsize=8.5, labelcolor=_SOFT,
+            borderaxespad=0.3, borderpad=0.1, handlelength=1.0, handletextpad=0.5, columnspacing=1.5, fontsize=8.5, labelcolor=SOFT,
             frameon=False,
         )  # fmt: skip
-    ax.set_title("Where the energy went [Wh]", loc="left", fontsize=9.5, color=_INK, pad=7)
+    ax.set_title("Where the energy went [Wh]", loc="left", fontsize=9.5, color=INK, pad=7)
 
 
 def _legend(ax: Axes) -> None:
     ax.legend(
         loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=4, handlelength=1.2, handletextpad=0.5,
-        columnspacing=1.5, labelcolor=_SOFT, fontsize=8.5, frameon=False,
+        columnspacing=1.5, labelcolor=SOFT, fontsize=8.5, frameon=False,
     )  # fmt: skip
