@@ -36,7 +36,7 @@ FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>',
 def one_run() -> tuple[Figure, str]:
     """Return the run of the overview."""
     result = run(Vehicle.load("small-car-series"), Cycle.load("us06"))
-    return plot_run(result), "A series hybrid on US06: speed, powers, charge, and where the energy went"
+    return plot_run(result, panels=("speed", "power", "charge")), "A series hybrid on US06: speed, powers and charge"
 
 
 def overlaid() -> tuple[Figure, str]:
