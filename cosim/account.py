@@ -4,7 +4,8 @@ All energies are integrals of powers that the run computed, with the same step v
 
     fuel + battery = losses + kinetic + potential + speed mismatch + inertia discretisation + speed limit and standstill
 
-The last three are lines of the discrete method, each computed from its own definition.  *Speed mismatch*: after a limit
+The account closes by construction, so it proves that nothing is forgotten, not that a law is right; that is for the audit
+(`halfshaft.cosim.audit`).  The last three are lines of the discrete method.  *Speed mismatch*: after a limit
 acted, powers upstream are taken at the required speed, the achieved one is lower.  *Inertia discretisation*: work on
 rotors by difference quotients less their change of kinetic energy.  *Speed limit and standstill*: driving power that is
 not used because a part turns no faster, or because the vehicle stands.  A forward-facing run closes without them.

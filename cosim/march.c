@@ -115,6 +115,8 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     u[4] = 0;
     u[0] = v[k];
     t.failed |= hs_lost(u, HS_NU);
+    /* A speed that was solved for was reached: the step after it has nothing to estimate. */
+    if (mode != HYBRID) now[HS_X_MISSED] = 0;
     t.x = now; t.xn = next; t.y = y;
     double s = shortfall(&t, v[k]);
     if (mode != HYBRID && s > HS_REACHED) {

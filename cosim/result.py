@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from halfshaft.cosim.account import Account, account
+from halfshaft.cosim.audit import Audit
 from halfshaft.cosim.compiled import Array
 from halfshaft.library.errors import InputError
 from halfshaft.library.texts import open_regular
@@ -72,6 +73,8 @@ class Result:
     highest: Mapping[str, float]
     first: Mapping[str, float]
     last: Mapping[str, float]
+    #: Makes the audit; a run that was loaded, or is forward-facing, has none.
+    audited: Callable[[], Audit] | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, name: str) -> Array:
         """Return one time series, shape ``(n,)``.
@@ -93,6 +96,20 @@ class Result:
     def account(self) -> Account:
         """The energy account."""
         return account(self.outputs, self.energies)
+
+    @cached_property
+    def audit(self) -> Audit:
+        """The audit: every part held against its own laws; takes some ten milliseconds when first asked for.
+
+        Raises
+        ------
+        InputError
+            If the run kept no history, is forward-facing, or was loaded from a file.
+
+        """
+        if self.audited is None or not len(self.history):
+            raise InputError("audit", ["only a run of the step that kept its history can be audited, right after it was made"])
+        return self.audited()
 
     @cached_property
     def dataset(self) -> xr.Dataset:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from halfshaft import __version__
+from halfshaft.cosim.audit import Audit, Auditor
 from halfshaft.cosim.compiled import Array, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
@@ -38,6 +40,19 @@ class Build:
 @lru_cache(maxsize=64)
 def _stepper(build: Build) -> Stepper:
     return stepper(model_of(build.vehicle), build.vehicle.title)
+
+
+@lru_cache(maxsize=64)
+def _auditor(build: Build) -> Auditor:
+    return Auditor(model_of(build.vehicle), _stepper(build).step)
+
+
+def audit_of(vehicle: Vehicle, samples: Samples, rows: Array) -> Audit:
+    """Return the audit of a run of the vehicle's step."""
+    build = Build(vehicle)
+    stepper = _stepper(build)
+    parameters = parameters_of(vehicle, stepper.step, samples.v_start)
+    return _auditor(build)(samples, rows, stepper.first(parameters), parameters)
 
 
 @lru_cache(maxsize=8)
@@ -97,7 +112,8 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         step, samples = stepper_of(vehicle).step, cycle.sampled(dt)
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, samples))
+        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, samples))
+        return replace(result, audited=lambda: audit_of(vehicle, samples, rows))
     compiled = stepper_of(vehicle)
     samples = cycle.sampled(dt)
     march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
@@ -106,7 +122,10 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     highest = dict(zip(names, march.highest.tolist(), strict=True))
     last = {d.name: float(march.state[d.state]) for d in compiled.step.outputs if d.state is not None}
     rows = np.empty((0, len(names))) if march.history is None else march.history
-    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, samples), last)
+    return Result(
+        inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, samples), last,
+        lambda: audit_of(vehicle, samples, rows),
+    )  # fmt: skip
 
 
 def _first(vehicle: Vehicle, samples: Samples) -> dict[str, float]:

@@ -175,6 +175,15 @@ class Battery(Component):
             "next_U_supply": U,
         }
 
+    def audit(self, dc: Electric, soc: Expr, next_soc: Expr, T: Expr, dt: Expr, P_stored: Expr, P_loss: Expr) -> Mapping[str, Any]:
+        """Compare store and loss with the circuit's at the terminal power, equations (2) and (4), and with the charge that left."""
+        circuit = self.circuit(soc, T, dc.P)
+        I = circuit.current(dc.P)  # noqa: E741
+        charging = where(I < 0, (1 - self.p.eta_coulomb(T)) * circuit.U_oc * -I, 0)
+        loss = circuit.R * I**2 + charging
+        drawn = self.p.capacity_scale * self.p.Q(T) * (soc - next_soc)
+        return {"R I^2": P_loss - loss, "store": P_stored - dc.P - loss, "charge": P_stored - circuit.U_oc * drawn / dt}
+
     @plant("der_soc", "der_T", "U", "I", "P_stored", "P_loss", "P_room_out", "P_room_in")
     def flow(self, dc: Electric, soc: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
         """Return the rates in continuous time, and how far the power is from its limits."""

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, face, plant
+from halfshaft.library.component import Assumed, Component, State, Variable, face, plant
 from halfshaft.library.expressions import Turning, where
 from halfshaft.library.parameters import Parameters, param
 from halfshaft.library.ports import Expr, Port, Tyre
@@ -158,6 +158,21 @@ class Body(Component):
             "P_kinetic": m * (v_end - v) / dt * v_mean,
             "P_mismatch": tyre.F * (tyre.v - v_mean),
             "P_limit": (tyre.F - F_used) * v_mean,
+        }
+
+    def audit(
+        self, tyre: Tyre, v: Expr, next_v: Expr, elevation: Expr, next_elevation: Expr, grade: Expr, dt: Expr,
+        P_aero: Expr, P_roll: Expr, P_climb: Expr, P_kinetic: Expr, rolling: tuple[Expr, Expr], turning: Turning,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Compare powers with the states, and the force with equation (1)."""
+        m, drag, v_mean = self.p.m, self.resistance(grade, rolling), (v + next_v) / 2
+        resisting = drag.at(v_mean, turning(tyre.v))
+        used = m * (next_v - v) / dt + resisting
+        return {
+            "drag": P_aero + P_roll + P_climb - resisting * v_mean,
+            "forces": Assumed((tyre.F - used) * v_mean),
+            "kinetic energy": P_kinetic - m * (next_v**2 - v**2) / (2 * dt),
+            "potential energy": P_climb - m * self.p.g * (next_elevation - elevation) / dt,
         }
 
     @plant("tyre", "der_v", "der_distance", "der_elevation", "P_aero", "P_roll", "P_climb", "P_kinetic")

@@ -57,6 +57,10 @@ class Bus(Component):
         given = ca.fmin(P, ca.fmax(P_bus, 0))
         return {"load": Electric(given), "P_loss": P - given}
 
+    def audit(self, load: Electric, battery: Electric, P_loss: Expr, generator: Electric = Electric(0.0)) -> Mapping[str, Any]:  # noqa: B008
+        """Compare what came with what went and what nothing took."""
+        return {"sum": battery.P + generator.P - load.P - P_loss}
+
     @plant("battery", "P_loss")
     def flow(self, load: Electric, generator: Electric = Electric(0.0)) -> Mapping[str, Any]:  # noqa: B008
         """Return equation (1) in continuous time."""

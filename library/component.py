@@ -10,6 +10,9 @@ its decorator; the assembler (`halfshaft.models`) finds the order.  An argument 
 
 A face gives ports, variables, signals, private hand-overs, and ``next_x`` for each of its states ``x``.
 
+A component may also have a method ``audit``: from what a run recorded at its ports, it tells how far the component's own
+laws are from it, each by name as a power [W] or as `Assumed`.  `halfshaft.cosim.audit` says what the arguments are.
+
 Most components are a chain of *links* between two ports: `halfshaft.library.links.TwoSided` derives every use of the
 physics from that one chain.
 """
@@ -54,6 +57,12 @@ class State(NamedTuple):
     signal: bool = False
     shown: bool = False
     decision: bool = False
+
+
+class Assumed(NamedTuple):
+    """A difference from a law that the paper's second assumption makes on purpose where a limit acts [W]."""
+
+    difference: Any
 
 
 class Face(NamedTuple):
@@ -136,6 +145,16 @@ class Component:
             if gives is not None:
                 takes, optional = arguments(getattr(self, name))
                 yield Face(name, takes, optional, gives, getattr(self, name))
+
+    def audit_faces(self) -> Iterator[Face]:
+        """Yield the law, and the audit where the component has one."""
+        for found in self.faces():
+            if found.name == "law":
+                yield found
+        audit = getattr(self, "audit", None)
+        if audit is not None:
+            takes, optional = arguments(audit)
+            yield Face("audit", takes, optional, ("_audit",), lambda **x: {"_audit": audit(**x)})
 
     def start(self) -> Mapping[str, Any]:
         """Return the start value of each state; arguments may name signals that are states of other parts."""

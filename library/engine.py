@@ -179,6 +179,20 @@ class Engine(Component):
             "next_fuel_used": fuel_used + dt * flow,
         }
 
+    def audit(
+        self, shaft: Shaft, omega_engine: Expr, tau_map: Expr, P_fuel: Expr, P_loss: Expr, P_kinetic: Expr, P_discretisation: Expr,
+        fuel_used: Expr, next_fuel_used: Expr, dt: Expr, engine_on: Expr, clutch_open: Expr,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Compare fuel and torque with the map, equation (2), and with what shaft and rotor took, equation (1)."""
+        fuel = where(engine_on, self.p.H_fuel * self.fuel_flow(tau_map, omega_engine), 0)
+        taken = shaft.tau * omega_engine + P_kinetic + P_discretisation
+        return {
+            "fuel map": P_fuel - fuel,
+            "fuel burnt": P_fuel - self.p.H_fuel * (next_fuel_used - fuel_used) / dt,
+            "loss": P_loss - fuel + tau_map * omega_engine,
+            "torque at the shaft": where(clutch_open, 0, tau_map * omega_engine - taken),
+        }
+
     @plant("der_omega_engine", "der_fuel_used", "tau_map", "P_fuel", "P_loss", "P_kinetic")
     def flow(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,

@@ -95,6 +95,16 @@ class Generator(Component):
             "next_omega_before": shaft.omega,
         }
 
+    def audit(self, shaft: Shaft, dc: Electric, P_loss: Expr, P_kinetic: Expr, P_discretisation: Expr) -> Mapping[str, Any]:
+        """Compare the electric power with the map at the torque that is left of the shaft's, equations (1) and (2)."""
+        P_rotor = P_kinetic + P_discretisation
+        turning = shaft.omega > 1e-6
+        tau = where(turning, shaft.tau - P_rotor / where(turning, shaft.omega, 1), 0)
+        return {
+            "map": ca.fmax(dc.P - ca.fmax(0, self.power(tau, shaft.omega)), 0),
+            "loss": P_loss - (shaft.P - P_rotor - dc.P),
+        }
+
     @plant("shaft", "dc", "P_loss")
     def flow(self, tau_genset: Expr, clutch_open: Expr, omega_engine: Expr, turning: Turning) -> Mapping[str, Any]:
         """Return torque and power in continuous time: the commanded torque, at the engine's speed."""

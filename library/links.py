@@ -7,9 +7,9 @@ chain of links between its two ports.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
-from halfshaft.library.component import Component, Face, Variable, arguments
+from halfshaft.library.component import Assumed, Component, Face, Variable, arguments
 from halfshaft.library.expressions import where
 from halfshaft.library.ports import Expr, Port, Shaft
 
@@ -20,7 +20,8 @@ class Link(NamedTuple):
     ``law`` maps the load point to the source point: the physics.  ``back`` gives the delivered load point from the
     point asked for, the point sent up, and the point offered from the source.  ``books`` says where the power that
     the link takes goes.  ``limit`` marks a cut that a required point gets and that the way back leaves alone; the
-    forward-facing model has its limits elsewhere and skips it.
+    forward-facing model has its limits elsewhere and skips it.  ``omega`` is the speed at which the law holds, where that is
+    not the load point's but an estimate of the one achieved: the power between the two is speed mismatch, not loss.
     """
 
     law: Callable[[Any], Any]
@@ -28,6 +29,7 @@ class Link(NamedTuple):
     books: Literal["loss", "kinetic", ""] = "loss"
     limit: bool = False
     name: str = ""
+    omega: Callable[[Any], Expr] | None = None
 
 
 def limit(cut: Callable[[Any], Any], name: str = "") -> Link:
@@ -90,6 +92,9 @@ class TwoSided(Component):
     * a plant face: the same links without limits and memories, for the forward-facing model.
     """
 
+    #: Whether a link of the chain has a speed of its own.
+    estimates: ClassVar[bool] = False
+
     def chain(self) -> tuple[Link, ...]:
         """Return the links from the wheel's side to the source's side; arguments are injected like a face's."""
         raise NotImplementedError
@@ -115,13 +120,16 @@ class TwoSided(Component):
         if self.turns():
             books.append(Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"))
             books.append(Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"))
+        if self.estimates:
+            books.append(Variable("P_mismatch", "W", "power at the estimated speed less that at the required one", "mismatch"))
         return (*self.variables, *books)
 
     def faces(self) -> Iterator[Face]:
         """Yield the two derived faces and the declared ones."""
         load, source = self.sides()
         takes, optional = arguments(self.chain)
-        turns = self.turns()
+        rotor = ("P_kinetic", "P_discretisation") if self.turns() else ()
+        booked = ("P_loss", *rotor, *(("P_mismatch",) if self.estimates else ()))
         declared = {g for other in super().faces() for g in other.gives} | {"_way"}
         names = tuple(v.name for v in self.variables if v.name not in declared)
 
@@ -137,10 +145,13 @@ class TwoSided(Component):
             return {source.name: way[-1], "_way": handed, **named, **self.found(handed)}
 
         def available(**x: Any) -> Mapping[str, Any]:
-            offered, loss, kinetic, error = x[source.name], 0, 0, 0
+            offered, loss, kinetic, error, mismatch = x[source.name], 0, 0, 0, 0
             for link, asked, sent in reversed(x["_way"]):
                 delivered = deliver(link, asked, sent, offered)
                 taken = offered.P - delivered.P
+                if link.omega is not None:
+                    moved = delivered.tau * (link.omega(asked) - delivered.omega)
+                    mismatch, taken = mismatch + moved, taken - moved
                 if link.books == "loss":
                     loss += taken
                 elif link.books == "kinetic":
@@ -148,12 +159,11 @@ class TwoSided(Component):
                     rate = J_alpha * (asked.omega - asked.alpha * x["dt"] / 2)
                     kinetic, error = kinetic + rate, error + taken - rate
                 offered = delivered
-            out = {load.name: offered, "P_loss": loss}
-            return {**out, "P_kinetic": kinetic, "P_discretisation": error} if turns else out
+            powers = {"P_loss": loss, "P_kinetic": kinetic, "P_discretisation": error, "P_mismatch": mismatch}
+            return {load.name: offered, **{name: powers[name] for name in booked}}
 
         memory = tuple(f"next_{s.name}" for s in self.states)
         yield Face("required", (load.name, *takes), optional, (source.name, "_way", *names, *memory), required)
-        booked = ("P_loss", "P_kinetic", "P_discretisation") if turns else ("P_loss",)
         yield Face("available", (source.name, "_way", "dt"), {}, (load.name, *booked), available)
         yield from super().faces()
 
@@ -172,6 +182,24 @@ class TwoSided(Component):
             return {source.name: point, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"]}
 
         yield Face("flow", (load.name, *takes), optional, (source.name, *books), flow)
+
+    def audit_faces(self) -> Iterator[Face]:
+        """Yield the law and the audit: the chain, without limits, from the point delivered to the power that came for it."""
+        yield from (f for f in super().audit_faces() if f.name == "law")
+        load, source = self.sides()
+        takes, optional = arguments(self.chain)
+        rotor = ("P_kinetic", "P_discretisation") if self.turns() else ()
+
+        def audit(**x: Any) -> Mapping[str, Any]:
+            point, came = x.pop(load.name), x.pop(source.name)
+            inertia_power = sum(x.pop(name) for name in rotor)
+            links = self.chain(**x)
+            if rotor:
+                per_alpha = self.continuous(point._replace(alpha=1), links)[1]["kinetic"]
+                point = point._replace(alpha=where(per_alpha != 0, inertia_power / where(per_alpha != 0, per_alpha, 1), 0))
+            return {"_audit": {"law": Assumed(came.P - self.continuous(point, links)[0].P)}}
+
+        yield Face("audit", (load.name, source.name, *rotor, *takes), optional, ("_audit",), audit)
 
     def continuous(self, load: Any, links: tuple[Link, ...]) -> tuple[Any, dict[str, Any]]:
         """Return the source point and the booked powers in continuous time: no limits, nothing assumed."""

@@ -69,6 +69,7 @@ class Motor(TwoSided):
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
     )
     laws = ("tau_envelope", "motor")
+    estimates = True
 
     @face("tau_envelope", "motor")
     def law(self) -> Mapping[str, Any]:
@@ -128,7 +129,7 @@ class Motor(TwoSided):
             inertia(self.p.J),
             limit(torque, "limited"),
             limit(off),
-            Link(power, same_efficiency, "loss", False, "map"),
+            Link(power, same_efficiency, "loss", False, "map", omega_map),
             limit(current),
         )
 

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from halfshaft.library.body import BodyParameters
-from halfshaft.library.component import Component, State, Variable, face, plant
+from halfshaft.library.component import Assumed, Component, State, Variable, face, plant
 from halfshaft.library.expressions import Turning, clip, where
 from halfshaft.library.links import Link, deliver, drag, inertia
 from halfshaft.library.parameters import Parameters, param, table
@@ -206,7 +206,7 @@ class Wheel(Component):
         (_, at_tread, after_bearing), (_, _, at_axle) = _way
         F_driveline = where(tread.tau == at_tread.tau, _split.driveline, tread.tau / p.r)
         F_friction = where(_asked.F < 0, ca.fmin(0, _asked.F - F_driveline), 0)
-        F_front, F_rear = self.friction(F_friction, p.r * axle.omega)
+        F_front, F_rear = self.friction(F_friction, _asked.v)
         F_driven = F_driveline + where(p.front_driven, F_front, 0) + where(p.rear_driven, F_rear, 0)
         v_driveline = p.r * axle.omega / (1 + self.slip(F_driven, _grip.W_driven))
         v_tyre = where(ca.fabs(at_axle.omega - axle.omega) > 1e-3, v_driveline, _grip.v)
@@ -225,6 +225,26 @@ class Wheel(Component):
             "P_bearing": (after_bearing.tau - at_tread.tau) * axle.omega,
             "P_kinetic": kinetic,
             "P_discretisation": J_alpha * axle.omega - kinetic,
+        }
+
+    def audit(
+        self, tyre: Tyre, axle: Shaft, F_brake_front: Expr, F_brake_rear: Expr, P_brake: Expr, P_slip: Expr, P_bearing: Expr,
+        P_kinetic: Expr, P_discretisation: Expr, v: Expr, dt: Expr, grade: Expr, body: BodyParameters, turning: Turning,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Compare the axle with the forces at the road: equations (1) and (2), each as it stands in the text."""
+        p = self.p
+        F_driveline = tyre.F - F_brake_front - F_brake_rear
+        F_driven = tyre.F - (1 - p.front_driven) * F_brake_front - (1 - p.rear_driven) * F_brake_rear
+        front, rear = self.weight(2 * (tyre.v - v) / dt, grade, body)
+        slip = self.slip(F_driven, p.front_driven * front + p.rear_driven * rear)
+        v_tread = p.r * axle.omega
+        bearing = turning(axle.omega) * p.tau_bearing(body.m) * axle.omega
+        return {
+            "torque at the tread": axle.P - bearing - P_kinetic - P_discretisation - F_driveline * v_tread,
+            "slip": Assumed(P_slip - F_driven * tyre.v * slip),
+            # A brake on the driven axle turns with its wheels, one on the other axle with the road.
+            "brakes": P_brake + (F_driven - F_driveline) * v_tread + (tyre.F - F_driven) * tyre.v,
+            "bearings": P_bearing - bearing,
         }
 
     def friction(self, F: Expr, v: Expr) -> tuple[Expr, Expr]:

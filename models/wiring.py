@@ -103,6 +103,8 @@ class Wiring:
                 takes[name] = ("request", "", name)
             elif name in variables:
                 takes[name] = ("variable", part, name)
+            elif name.startswith("next_") and name[5:] in states:
+                takes[name] = ("next", part, name[5:])
             elif name in laws:
                 takes[name] = ("law", part, name)
             elif name in LAWS:

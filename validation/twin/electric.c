@@ -54,7 +54,7 @@
   X(gearbox, P_kinetic) X(gearbox, P_discretisation) X(gearbox, tau) X(gearbox, tau_required) X(gearbox, omega) \
   X(gearbox, omega_required) X(gearbox, P_out) X(gearbox, P_in) \
   X(motor, tau_limited) X(motor, throttle_motor) X(motor, P_map) X(motor, P_loss) X(motor, P_kinetic) \
-  X(motor, P_discretisation) X(motor, tau) X(motor, tau_required) X(motor, omega) X(motor, omega_required) \
+  X(motor, P_discretisation) X(motor, P_mismatch) X(motor, tau) X(motor, tau_required) X(motor, omega) X(motor, omega_required) \
   X(motor, P_out) X(motor, P_in) X(motor, P_in_required) \
   X(accessories, P_loss) X(accessories, P_out) X(accessories, P_in) X(accessories, P_in_required) \
   X(bus, P_bus) X(bus, P_loss) X(bus, P_out) X(bus, P_in) X(bus, P_in_required) \
@@ -230,8 +230,8 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   const double F_driveline = (tau_final - tau_wheels - tau_bearing) / r, v_tread = r * omega_final;
   const double F_friction = F_asked < 0 ? smaller(0, F_asked - F_driveline) : 0;
   double share_front = 0.6;
-  const double share = clipped(&t->wheel_share_driveline, v_tread);
-  if (share < 1) share_front = between(clipped(&t->wheel_share_front, v_tread) / larger(1 - share, 1e-12), 0, 1);
+  const double share = clipped(&t->wheel_share_driveline, v_asked);
+  if (share < 1) share_front = between(clipped(&t->wheel_share_front, v_asked) / larger(1 - share, 1e-12), 0, 1);
   const double F_front = larger(share_front * F_friction, -p->wheel_F_brake_front_max);
   const double F_rear = larger(smaller(0, F_friction - F_front), -p->wheel_F_brake_rear_max);
   const double F = F_driveline + F_front + F_rear;
@@ -321,7 +321,9 @@ static void step(const parameters *p, maps *t, const states *x, double v_request
   o->motor_P_map = P_map;
   o->motor_P_kinetic = tau_m_rotor * (omega_m - 0.5 * alpha_g * dt);
   o->motor_P_discretisation = tau_m_rotor * omega_m - o->motor_P_kinetic;
-  o->motor_P_loss = P_motor - tau_drive * omega_m;
+  /* After a miss the map is read at an estimate of the speed; what lies between the two speeds is no heat. */
+  o->motor_P_mismatch = tau_drive * (omega_map - omega_m);
+  o->motor_P_loss = P_motor - tau_drive * omega_map;
   o->motor_tau = tau_motor;
   o->motor_tau_required = tau_g;
   o->motor_omega = omega_m;
