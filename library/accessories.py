@@ -26,17 +26,17 @@ from halfshaft.library.ports import Electric, Expr, Port, Shaft
 class ElectricAccessoriesParameters(Parameters):
     """Electric load."""
 
-    P_on: float = param("W", "power of the accessories while the key is on", 0.0, ge=0)
-    eta: float = param("1", "efficiency of their supply", 1.0, gt=0, le=1)
+    P_on: float = param("W", "power of the accessories while the key is on", 0.0, ge=0, le=1e6)
+    eta: float = param("1", "efficiency of their supply", 1.0, ge=0.01, le=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MechanicalAccessoriesParameters(Parameters):
     """Load on the engine's shaft."""
 
-    tau_on: float = param("N.m", "constant torque while the engine is on", 0.0, ge=0)
-    P_on: float = param("W", "constant power while the engine is on", 0.0, ge=0)
-    eta: float = param("1", "efficiency of the belt drive", 1.0, gt=0, le=1)
+    tau_on: float = param("N.m", "constant torque while the engine is on", 0.0, ge=0, le=1e4)
+    P_on: float = param("W", "constant power while the engine is on", 0.0, ge=0, le=1e6)
+    eta: float = param("1", "efficiency of the belt drive", 1.0, ge=0.01, le=1)
 
 
 @dataclass(frozen=True)

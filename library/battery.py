@@ -46,24 +46,24 @@ C_AIR = 1009.0
 class BatteryParameters(Parameters):
     """A pack of equal modules in series; tables are for one module."""
 
-    n_modules: float = param("1", "number of modules in series", gt=0)
+    n_modules: float = param("1", "number of modules in series", ge=1, le=1e4)
     u_oc: Table = table("V", "open-circuit voltage of a module", TEMPERATURE, CHARGE, clip=True, gt=0)
     r_discharge: Table = table("ohm", "resistance of a module while discharging", TEMPERATURE, CHARGE, clip=True, gt=0)
     r_charge: Table = table("ohm", "resistance of a module while charging", TEMPERATURE, CHARGE, clip=True, gt=0)
     Q: Table = table("C", "capacity", TEMPERATURE, clip=True, gt=0)
     eta_coulomb: Table = table("1", "share of a charging current that is stored", TEMPERATURE, clip=True, gt=0, le=1)
-    u_min: float = param("V", "lowest voltage of a module", ge=0)
-    u_max: float = param("V", "highest voltage of a module", gt=0)
-    capacity_scale: float = param("1", "factor on the capacity", 1.0, gt=0)
+    u_min: float = param("V", "lowest voltage of a module", ge=0, le=1e4)
+    u_max: float = param("V", "highest voltage of a module", ge=0.1, le=1e4)
+    capacity_scale: float = param("1", "factor on the capacity", 1.0, ge=1e-3, le=1e3)
     soc_start: float = param("1", "state of charge at the start", 0.7, ge=0, le=1)
-    T_start: float = param("K", "temperature at the start", 293.15, gt=0)
-    T_ambient: float = param("K", "temperature of the air", 293.15, gt=0)
-    T_fan: float = param("K", "temperature above which the fan runs", 308.15, gt=0)
-    mass: float = param("kg", "mass of a module", gt=0)
-    c_p: float = param("J/(kg.K)", "specific heat", gt=0)
-    R_th_fan: float = param("K/W", "thermal resistance of a module to the air with fan", gt=0)
-    R_th_still: float = param("K/W", "thermal resistance of a module to the air without fan", gt=0)
-    airflow: float = param("kg/s", "air flow of the fan at a module", gt=0)
+    T_start: float = param("K", "temperature at the start", 293.15, ge=200, le=400)
+    T_ambient: float = param("K", "temperature of the air", 293.15, ge=200, le=400)
+    T_fan: float = param("K", "temperature above which the fan runs", 308.15, ge=200, le=500)
+    mass: float = param("kg", "mass of a module", ge=1e-3, le=1e4)
+    c_p: float = param("J/(kg.K)", "specific heat", ge=10, le=1e5)
+    R_th_fan: float = param("K/W", "thermal resistance of a module to the air with fan", ge=1e-3, le=1e3)
+    R_th_still: float = param("K/W", "thermal resistance of a module to the air without fan", ge=1e-3, le=1e3)
+    airflow: float = param("kg/s", "air flow of the fan at a module", ge=1e-6, le=10)
 
 
 class Circuit(NamedTuple):

@@ -47,16 +47,18 @@ class Resistance(NamedTuple):
 class BodyParameters(Parameters):
     """Mass, shape and geometry of the vehicle."""
 
-    m: float = param("kg", "test mass", gt=0)
-    c_d: float = param("1", "drag coefficient", ge=0)
-    A: float = param("m^2", "frontal area", ge=0)
-    rho: float = param("kg/m^3", "air density", 1.2, ge=0)
-    g: float = param("m/s^2", "gravity", 9.81, gt=0)
+    m: float = param("kg", "test mass", ge=10, le=1e6)
+    c_d: float = param("1", "drag coefficient", ge=0, le=10)
+    A: float = param("m^2", "frontal area", ge=0, le=100)
+    rho: float = param("kg/m^3", "air density", 1.2, ge=0, le=10)
+    g: float = param("m/s^2", "gravity", 9.81, ge=0.1, le=100)
     front_share: float = param("1", "share of the weight on the front axle at rest", 0.6, ge=0, le=1)
-    h: float = param("m", "height of the centre of gravity", 0.5, ge=0)
-    wheelbase: float = param("m", "wheelbase", 2.6, gt=0)
-    v_miss: float = param("m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, gt=0)
-    v_start: float = param("m/s", "speed at the start", 0.0, ge=0)
+    h: float = param("m", "height of the centre of gravity", 0.5, ge=0, le=10)
+    wheelbase: float = param("m", "wheelbase", 2.6, ge=0.1, le=100)
+    v_miss: float = param(
+        "m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, ge=1e-6, le=1e3
+    )
+    v_start: float = param("m/s", "speed at the start", 0.0, ge=0, le=1e3)
 
     def check(self) -> list[str]:
         """Return what is wrong between parameters; a body this tall would tip over its wheels before they slip."""

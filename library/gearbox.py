@@ -49,22 +49,22 @@ E_LOWEST = 0.05
 class GearboxParameters(Parameters):
     """Ratios and inertia, common to all gearboxes."""
 
-    ratios: tuple[float, ...] = params("1", "ratio of input speed to output speed, gear by gear", gt=0)
-    J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0)
-    speed_scale: float = param("1", "factor on the speeds of the loss", 1.0, gt=0)
-    torque_scale: float = param("1", "factor on the torques of the loss", 1.0, gt=0)
+    ratios: tuple[float, ...] = params("1", "ratio of input speed to output speed, gear by gear", ge=0.01, le=100)
+    J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0, le=100)
+    speed_scale: float = param("1", "factor on the speeds of the loss", 1.0, ge=0.01, le=100)
+    torque_scale: float = param("1", "factor on the torques of the loss", 1.0, ge=0.01, le=100)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolynomialGearboxParameters(GearboxParameters):
     """Coefficients of equation (2)."""
 
-    c1: float = param("N.m", "loss that grows with ratio and speed", 0.614307976)
-    c2: float = param("N.m", "loss that grows with speed", 5.530953616)
-    c3: float = param("rad/s", "loss that grows with torque over ratio", -0.861652506)
-    c4: float = param("rad/s", "loss that grows with torque", 0.229546756)
-    c5: float = param("1", "loss that grows with power", 0.023981187)
-    c6: float = param("W", "constant loss", -92.07523029)
+    c1: float = param("N.m", "loss that grows with ratio and speed", 0.614307976, ge=-1e3, le=1e3)
+    c2: float = param("N.m", "loss that grows with speed", 5.530953616, ge=-1e3, le=1e3)
+    c3: float = param("rad/s", "loss that grows with torque over ratio", -0.861652506, ge=-100, le=100)
+    c4: float = param("rad/s", "loss that grows with torque", 0.229546756, ge=-100, le=100)
+    c5: float = param("1", "loss that grows with power", 0.023981187, ge=-1, le=1)
+    c6: float = param("W", "constant loss", -92.07523029, ge=-1e5, le=1e5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class MapGearboxParameters(GearboxParameters):
     """Efficiency of the output point."""
 
     efficiency: Table = table("1", "efficiency", Axis("omega", "rad/s"), Axis("tau", "N.m"), Axis("gear", "1"), clip=True, ge=0, le=1)
-    efficiency_scale: float = param("1", "factor on the efficiency", 1.0, gt=0)
+    efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
 
 
 def same_efficiency(asked: Shaft, sent: Shaft, offered: Shaft, G: Expr) -> Shaft:

@@ -32,13 +32,13 @@ class GeneratorParameters(Parameters):
 
     P_electric: Table = table("W", "electric output power", SPEED, TORQUE, clip=False)
     tau_max: Table = table("N.m", "largest torque", SPEED, clip=False)
-    omega_max: float = param("rad/s", "highest speed", gt=0)
-    J: float = param("kg.m^2", "rotor inertia", ge=0)
-    overtorque: float = param("1", "short-time torque over continuous torque", 1.0, gt=0)
-    I_max: float = param("A", "current limit of the controller", gt=0)
-    speed_scale: float = param("1", "factor on all speeds", 1.0, gt=0)
-    torque_scale: float = param("1", "factor on all torques", 1.0, gt=0)
-    mass: float = param("kg", "mass", 0.0, ge=0)
+    omega_max: float = param("rad/s", "highest speed", ge=1, le=1e5)
+    J: float = param("kg.m^2", "rotor inertia", ge=0, le=100)
+    overtorque: float = param("1", "short-time torque over continuous torque", 1.0, ge=0.01, le=100)
+    I_max: float = param("A", "current limit of the controller", ge=0.1, le=1e9)
+    speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100)
+    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
+    mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
 
 @dataclass(frozen=True)

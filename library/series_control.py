@@ -24,12 +24,15 @@ import numpy as np
 
 from halfshaft.library.component import Component, State, Variable, face
 from halfshaft.library.engine import Engine, EngineParameters
+from halfshaft.library.errors import InputError
 from halfshaft.library.expressions import clip, where
 from halfshaft.library.generator import Generator, GeneratorParameters
 from halfshaft.library.parameters import Parameters, param, table
 from halfshaft.library.ports import Expr
 from halfshaft.library.tables import Axis, Table
 
+#: Speeds that a genset's locus chooses from, at most, and the least efficiency that it reckons with.
+MOST_SPEEDS, LOWEST_EFFICIENCY = 20_000, 1e-3
 #: One-second parts of the five-second average.
 PARTS = 5
 
@@ -38,15 +41,15 @@ PARTS = 5
 class SeriesControlParameters(Parameters):
     """Window of the state of charge, powers and times."""
 
-    soc_high: float = param("1", "state of charge above which the engine is off", 0.8, gt=0, le=1)
-    soc_low: float = param("1", "state of charge below which the engine is on", 0.4, ge=0, lt=1)
+    soc_high: float = param("1", "state of charge above which the engine is off", 0.8, ge=1e-3, le=1)
+    soc_low: float = param("1", "state of charge below which the engine is on", 0.4, ge=0, le=0.999)
     on_start: float = param("1", "1 if the engine is on at the start", 0.0, ge=0, le=1)
-    P_min_share: float = param("1", "lowest engine power over its largest", 0.5, gt=0, le=1)
-    P_max_share: float = param("1", "highest normal engine power over its largest", 0.5, gt=0, le=1)
-    P_charge: float = param("W", "charging power at the lower end of the window", 0.0, ge=0)
-    t_off_min: float = param("s", "shortest time off; very long for a thermostat", 1e9, ge=0)
-    P_rise: float = param("W/s", "fastest rise of engine power", 0.0, ge=0)
-    P_fall: float = param("W/s", "fastest fall of engine power", 0.0, ge=0)
+    P_min_share: float = param("1", "lowest engine power over its largest", 0.5, ge=1e-3, le=1)
+    P_max_share: float = param("1", "highest normal engine power over its largest", 0.5, ge=1e-3, le=1)
+    P_charge: float = param("W", "charging power at the lower end of the window", 0.0, ge=0, le=1e8)
+    t_off_min: float = param("s", "shortest time off; very long for a thermostat", 1e9, ge=0, le=1e12)
+    P_rise: float = param("W/s", "fastest rise of engine power", 0.0, ge=0, le=1e9)
+    P_fall: float = param("W/s", "fastest fall of engine power", 0.0, ge=0, le=1e9)
     charge_depleting: float = param("1", "1 to start the engine only in the lower half of the window", 0.0, ge=0, le=1)
     omega_locus: Table = table("rad/s", "genset speed of least fuel, for engine scales of 1", Axis("P", "W"), clip=True, ge=0)
 
@@ -164,30 +167,47 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
 
     Fuel per work and generator efficiency are put on a grid of ``n`` by ``n`` points that both machines cover.  For each
     of ``n - 1`` equal parts of the power range every whole-numbered speed is tried; the cost is the engine's fuel per
-    work over the generator's efficiency, plus 10 000 g/kWh outside of either envelope.
+    work over the generator's efficiency, plus 10 000 g/kWh outside of either envelope.  Where the generator's torques end
+    below the lowest of the fuel map, the engine runs below its map, and burns what it burns at the map's lowest.
+
+    Raises
+    ------
+    InputError
+        If the two have no speed in common, or the engine's maps hold no power.
+
     """
     from scipy.interpolate import RegularGridInterpolator  # takes a fifth of a second, and only a genset needs it
 
     omega_engine, tau_engine = engine.fuel.points
     omega_generator = generator.P_electric.points[0] * generator.speed_scale
     tau_generator = generator.P_electric.points[1] * generator.torque_scale
-    driving = tau_engine > 0
-    omega = np.linspace(max(omega_engine[0], omega_generator[0]), min(omega_engine[-1], omega_generator[-1]), n)
-    tau = np.linspace(max(tau_engine[driving][0], tau_generator[0]), min(tau_engine[-1], tau_generator[-1]), n)
+    turning, driving = omega_engine > 0, tau_engine > 0
+    omega_engine, tau_engine, fuel = omega_engine[turning], tau_engine[driving], engine.fuel.values[turning][:, driving]
+    power = engine.tau_max.points[0] * engine.tau_max.values
+    if not len(omega_engine) or not len(tau_engine) or power.max() <= omega_engine[0] * tau_engine[0]:
+        raise InputError("genset_locus", ["the engine's maps hold no range of power"])
+    low, high = max(omega_engine[0], omega_generator[0]), min(omega_engine[-1], omega_generator[-1])
+    speeds = np.arange(np.ceil(low), np.floor(min(high, low + MOST_SPEEDS)) + 1)
+    if low >= high or not len(speeds) or high - low > MOST_SPEEDS or tau_generator[-1] <= 0:
+        ends = "engine {:.0f} to {:.0f}, generator {:.0f} to {:.0f} rad/s".format(*omega_engine[[0, -1]], *omega_generator[[0, -1]])
+        raise InputError("genset_locus", [f"engine and generator have no range of speeds in common: {ends}"])
+    if tau_generator[-1] <= max(tau_engine[0], tau_generator[0]):
+        below = tau_generator[-1] * np.arange(1, n + 1) / (n + 1)
+        tau_engine, fuel = np.append(below, tau_engine), np.hstack([np.repeat(fuel[:, :1], n, axis=1), fuel])
+    omega = np.linspace(low, high, n)
+    tau = np.linspace(max(tau_engine[0], tau_generator[0]), min(tau_engine[-1], tau_generator[-1]), n)
     grid = np.stack(np.meshgrid(omega, tau, indexing="ij"), axis=-1)
 
-    per_work = 3.6e9 * engine.fuel.values[:, driving] / np.outer(omega_engine, tau_engine[driving])
-    per_work = RegularGridInterpolator((omega_engine, tau_engine[driving]), per_work)(grid)
+    per_work = 3.6e9 * fuel / np.outer(omega_engine, tau_engine)
+    per_work = RegularGridInterpolator((omega_engine, tau_engine), per_work)(grid)
     scale = generator.speed_scale * generator.torque_scale
     electric = RegularGridInterpolator((omega_generator, tau_generator), scale * generator.P_electric.values)(grid)
-    efficiency = electric / np.outer(omega, tau)
+    efficiency = np.maximum(electric / np.outer(omega, tau), LOWEST_EFFICIENCY)
     envelope_engine = np.interp(omega, engine.tau_max.points[0], engine.tau_max.values)
     envelope_generator = generator.overtorque * generator.torque_scale * generator.tau_max.values
     envelope_generator = np.interp(omega, generator.tau_max.points[0] * generator.speed_scale, envelope_generator)
 
-    power = engine.tau_max.points[0] * engine.tau_max.values
-    P_low, P_top = omega_engine[0] * tau_engine[driving][0], power.max()
-    speeds = np.arange(np.ceil(omega[0]), np.floor(omega[-1]) + 1)
+    P_low, P_top = omega_engine[0] * engine.fuel.points[1][driving][0], power.max()
     P_points, omega_points = [P_low], [omega_engine[0]]
     for P in P_low + (P_top - P_low) * np.arange(1, n - 1) / (n - 1):
         torques = np.clip(P / speeds, tau[0], tau[-1])

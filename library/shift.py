@@ -34,8 +34,8 @@ class ShiftParameters(Parameters):
 
     up: Table = table("1", "load below which to shift up", SPEED, GEAR, clip=False)
     down: Table = table("1", "load above which to shift down", SPEED, GEAR, clip=False)
-    t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0)
-    t_hold: float = param("s", "shortest time between two changes of gear", 0.0, ge=0)
+    t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0, le=100)
+    t_hold: float = param("s", "shortest time between two changes of gear", 0.0, ge=0, le=1e12)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,8 +80,8 @@ class TopSpeed(Parameters):
 
     target: ClassVar[str] = "gearbox.ratios"
     needs: ClassVar[tuple[str, ...]] = ("motor", "wheel", "final_drive")
-    v: float = param("m/s", "speed of the vehicle", gt=0)
-    slip: float = param("1", "slip of the tyres at that speed", 0.0, ge=0)
+    v: float = param("m/s", "speed of the vehicle", ge=0.1, le=1e3)
+    slip: float = param("1", "slip of the tyres at that speed", 0.0, ge=0, le=10)
 
     def __call__(self, sets: Sets) -> tuple[float]:
         """Return the ratio of a single-speed gearbox."""
@@ -441,7 +441,11 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
             if lacking:
                 problems.append(f"{target}: its rule needs {' and '.join(lacking)}, which this vehicle does not have")
                 continue
-            value = rule(sets)
+            try:
+                value = rule(sets)
+            except InputError as e:
+                problems.extend(f"{target}: {p}" for p in e.problems)
+                continue
             if isinstance(value, tuple) and len(value) != len(values[role][parameter]):
                 problems.append(f"{target} has {len(values[role][parameter])} entries, its rule gives {len(value)}")
             values[role][parameter] = value

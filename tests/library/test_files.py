@@ -185,7 +185,7 @@ def test_a_misspelt_parameter_is_unknown_and_the_right_one_missing(tmp_path):
 
 
 def test_bounds_are_those_of_the_parameter(tmp_path):
-    assert changed(tmp_path, ("0.047 kg", "-1 kg")) == ['parameters.J = "-1 kg m^2", must be >= 0 kg.m^2']
+    assert changed(tmp_path, ("0.047 kg", "-1 kg")) == ['parameters.J = "-1 kg m^2", must be >= 0 kg.m^2 and <= 100 kg.m^2']
 
 
 def test_wrong_units_of_numbers_axes_and_values_are_named(tmp_path):
@@ -246,7 +246,7 @@ def test_bounds_hold_for_the_entries_of_a_map(tmp_path):
     table = f"[parameters.efficiency]\n{axes}values = [[[1.2]]]\n"
     found = problems(write(tmp_path, f"{head}[parameters]\nratios = [3, -1]\n{table}", "g"))
     assert len(found) == 2
-    assert found[0].startswith("parameters.ratios[2] = -1, must be > 0")
+    assert found[0].startswith("parameters.ratios[2] = -1, must be >= 0.01")
     assert found[1].startswith("parameters.efficiency.values[1][1][1] = 1.2, must be >= 0")
 
 

@@ -96,7 +96,7 @@ def test_all_bad_values_are_named_at_once():
     assert found == [
         "body.mm is not known, did you mean 'body.m'?",
         'motor.J = "3 kg", must be an inertia such as kg.m^2',
-        "wheel.r = -1, must be > 0 m",
+        "wheel.r = -1, must be >= 0.05 m and <= 10 m",
         found[3],
     ]
     assert found[3].startswith("body.c_d = nan, must be >= 0")
