@@ -176,8 +176,6 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
         If the two have no speed in common, or the engine's maps hold no power.
 
     """
-    from scipy.interpolate import RegularGridInterpolator  # takes a fifth of a second, and only a genset needs it
-
     omega_engine, tau_engine = engine.fuel.points
     omega_generator = generator.P_electric.points[0] * generator.speed_scale
     tau_generator = generator.P_electric.points[1] * generator.torque_scale
@@ -199,9 +197,9 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
     grid = np.stack(np.meshgrid(omega, tau, indexing="ij"), axis=-1)
 
     per_work = 3.6e9 * fuel / np.outer(omega_engine, tau_engine)
-    per_work = RegularGridInterpolator((omega_engine, tau_engine), per_work)(grid)
+    per_work = _read((omega_engine, tau_engine), per_work, grid)
     scale = generator.speed_scale * generator.torque_scale
-    electric = RegularGridInterpolator((omega_generator, tau_generator), scale * generator.P_electric.values)(grid)
+    electric = _read((omega_generator, tau_generator), scale * generator.P_electric.values, grid)
     efficiency = np.maximum(electric / np.outer(omega, tau), LOWEST_EFFICIENCY)
     envelope_engine = np.interp(omega, engine.tau_max.points[0], engine.tau_max.values)
     envelope_generator = generator.overtorque * generator.torque_scale * generator.tau_max.values
@@ -213,7 +211,13 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
         torques = np.clip(P / speeds, tau[0], tau[-1])
         points = np.stack([speeds, torques], axis=-1)
         over = (torques > np.interp(speeds, omega, envelope_engine)) | (torques > np.interp(speeds, omega, envelope_generator))
-        cost = RegularGridInterpolator((omega, tau), per_work)(points) / RegularGridInterpolator((omega, tau), efficiency)(points)
+        cost = _read((omega, tau), per_work, points) / _read((omega, tau), efficiency, points)
         P_points.append(P)
         omega_points.append(speeds[np.argmin(cost + 10000 * over)])
     return Table.of([*P_points, P_top], values=[*omega_points, engine.tau_max.points[0][power.argmax()]])
+
+
+def _read(axes: tuple[Any, Any], values: Any, points: Any) -> Any:
+    """Return a map over two axes at points, of shape ``(..., 2)``."""
+    read = ca.interpolant("read", "linear", [x.tolist() for x in axes], values.ravel(order="F").tolist())
+    return np.array(read(points.reshape(-1, 2).T)).reshape(points.shape[:-1])

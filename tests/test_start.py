@@ -32,7 +32,7 @@ def test_help_imports_nothing_that_computes(arguments: list[str]) -> None:
     assert imported(*arguments) == set()
 
 
-@pytest.mark.parametrize("vehicle", ["small-car-electric", "small-car-conventional"])
+@pytest.mark.parametrize("vehicle", ["small-car-electric", "small-car-conventional", "small-car-series"])
 def test_a_run_imports_what_it_computes_with(vehicle: str) -> None:
     assert imported("run", vehicle, "--cycle", "nycc") == {"casadi", "numpy"}
 
