@@ -17,8 +17,8 @@ help:  ## list the targets
 
 demo: .venv/.installed  ## drive a series hybrid over US06, as an FMU, and plot it in build/demo
 	@mkdir -p $(DEMO)
-	$(BIN)/halfshaft fmu paper-series-1936 --fmi 3 -o $(DEMO)/paper-series-1936.fmu
-	$(BIN)/halfshaft run paper-series-1936 --cycle us06 --via fmu3 --plot $(DEMO)/us06.png
+	$(BIN)/halfshaft fmu small-car-series --fmi 3 -o $(DEMO)/small-car-series.fmu
+	$(BIN)/halfshaft run small-car-series --cycle us06 --via fmu3 --plot $(DEMO)/us06.png
 
 test: .venv/.installed-dev  ## run the tests
 	$(BIN)/python -m pytest -n 2 tests
@@ -28,8 +28,8 @@ lint: .venv/.installed-dev  ## check style, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p halfshaft
 
-validate: .venv/.installed-dev  ## run the slow checks against the forward-facing model
-	$(BIN)/python -m pytest -n 2 validation/test_forward.py
+validate: .venv/.installed-dev  ## run the slow checks: against the forward-facing model, and of broken files
+	$(BIN)/python -m pytest -n 2 validation
 
 bench: .venv/.installed-bench  ## time the step and compare it with FASTSim
 	$(BIN)/halfshaft bench

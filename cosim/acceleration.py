@@ -3,30 +3,53 @@
 The request is zero until t = 5 s, then 322 km/h; steps of 0.1 s.  The time counts from the start of the first
 accelerating step, with linear interpolation between samples.  As in the 1999 routine, shifts take 0.2 s, the clutch
 slips up to 0.4 of the engine's highest speed, and a hybrid starts at the upper end of its window.
+
+The paper's hybrid method errs most where a limit acts all the time, as here: up to 8 % of the time.  So the refined mode is
+what runs unless another is asked for, and the hybrid method's time stands beside.
 """
 
 from __future__ import annotations
 
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
 
-from halfshaft.cosim.compiled import Mode
+from halfshaft.cosim.compiled import CompiledStep, Mode
 from halfshaft.cosim.cycle import acceleration_cycle
 from halfshaft.cosim.result import Result
-from halfshaft.cosim.simulate import Via, run
+from halfshaft.cosim.simulate import Via, run, stepper_of
 from halfshaft.library.errors import InputError
 from halfshaft.models.vehicle import Vehicle
 
+#: Speed that is asked for [m/s].
+REQUEST = 322 / 3.6
 T_START = 5.0
 DT = 0.1
 
 
+#: Time that the request is held at first, and at most [s]; each try holds it four times as long as the one before.
+DURATIONS = (50.0, 200.0, 800.0, 3200.0)
+#: A vehicle that gains no more than this over the last tenth of a run gets no faster [m/s].
+STEADY = 0.05
+
+
 class Acceleration(NamedTuple):
-    """Time from rest to the target speed [s], or None if it was never reached, and the run."""
+    """Time from rest to the target speed [s], or None if it was never reached; the run; and the time by the hybrid method."""
 
     time: float | None
     result: Result
+    time_hybrid: float | None
+
+    def __repr__(self) -> str:
+        top = f"never reached, highest speed {self.result.highest['body.v'] * 3.6:.1f} km/h"
+        said = top if self.time is None else f"{self.time:.3f} s"
+        beside = "" if self.time_hybrid is None else f" (hybrid method {self.time_hybrid:.3f} s)"
+        inputs = self.result.inputs
+        return f"<Acceleration {inputs.vehicle}, {inputs.mode if inputs.via == 'step' else inputs.via}: {said}{beside}>"
+
+    def _repr_html_(self) -> str:
+        return f"<b>{escape(repr(self)[1:-1])}</b><br>{self.result._repr_html_()}"
 
 
 def prepared(vehicle: Vehicle) -> Vehicle:
@@ -53,7 +76,7 @@ def time_to(result: Result, v: float) -> float | None:
 
 
 def accelerate(
-    vehicle: Vehicle, *, to: float = 100 / 3.6, mode: Mode = "hybrid", via: Via = "step", duration: float = 50.0
+    vehicle: Vehicle, *, to: float = 100 / 3.6, mode: Mode | None = None, via: Via = "step", duration: float | None = None
 ) -> Acceleration:
     """Accelerate from rest as fast as the vehicle can.
 
@@ -64,9 +87,9 @@ def accelerate(
     to
         Target speed [m/s].
     mode, via
-        As in `run`.
+        As in `run`.  Without a mode, the compiled step runs refined, all else in its only mode, ``hybrid``.
     duration
-        Time that the request is held [s].
+        Time until which the request is held [s].  Without it, 50 s, and longer while the vehicle still gains speed.
 
     Raises
     ------
@@ -74,7 +97,25 @@ def accelerate(
         If the target is not above zero and below the request of 322 km/h.
 
     """
-    if not 0 < to < 322 / 3.6:
+    if not 0 < to < REQUEST:
         raise InputError("acceleration", [f"target speed {to * 3.6:g} km/h, must be > 0 and < 322 km/h"])
-    result = run(prepared(vehicle), acceleration_cycle(t_start=T_START, duration=duration), via=via, dt=DT, mode=mode)
-    return Acceleration(time_to(result, to), result)
+    car = prepared(vehicle)
+    if mode is None:
+        mode = "refined" if via == "step" and isinstance(stepper_of(car), CompiledStep) else "hybrid"
+    time, result = _reach(car, to, mode, via, duration)
+    hybrid = None
+    if via == "step":
+        hybrid = time if mode == "hybrid" else _reach(car, to, "hybrid", via, duration)[0]
+    return Acceleration(time, result, hybrid)
+
+
+def _reach(car: Vehicle, to: float, mode: Mode, via: Via, duration: float | None) -> tuple[float | None, Result]:
+    """Return the time to a speed and the run, held as long as it takes unless a duration is given."""
+    for held in DURATIONS if duration is None else (duration,):
+        result = run(car, acceleration_cycle(REQUEST, t_start=T_START, duration=held), via=via, dt=DT, mode=mode)
+        time = time_to(result, to)
+        v = result["body.v"]
+        late = len(v) - len(v) // 10
+        if time is not None or v[late:].max() - v[:late].max() < STEADY:
+            break
+    return time, result

@@ -43,6 +43,15 @@ class Account:
     inertia_discretisation: float
     speed_limit: float
 
+    def __repr__(self) -> str:
+        fuel, battery, lost = (x / 3600 for x in (self.fuel, self.battery, sum(self.losses.values())))
+        return f"<Account in Wh: fuel {fuel:.1f}, battery {battery:.1f}, lost {lost:.1f}, balance {self.residual / 3600:.0e}>"
+
+    def _repr_html_(self) -> str:
+        from halfshaft.cosim.facts import energy_table
+
+        return energy_table(self)
+
     @property
     def residual(self) -> float:
         """What is in but not out [J]."""

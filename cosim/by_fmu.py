@@ -102,7 +102,7 @@ class _Slave:
         description = fmpy.read_model_description(str(folder))
         self._references = {v.name: v.valueReference for v in description.modelVariables}
         self._name, self._fmi = path.name, fmi
-        self._fmu: Any = instantiate_fmu(str(folder), description, "CoSimulation", logger=self._heard)
+        self._fmu: Any = instantiate_fmu(str(folder), description, "CoSimulation", debug_logging=True, logger=self._heard)
         self._set, self._get = (
             (self._fmu.setReal, self._fmu.getReal) if fmi == 2 else (self._fmu.setFloat64, self._fmu.getFloat64)
         )  # fmt: skip

@@ -27,6 +27,7 @@ from halfshaft.cosim.cli_output import (
     print_written,
     solver_noise,
 )
+from halfshaft.cosim.units import SYSTEMS, Units
 from halfshaft.cosim.ways import Mode, Via
 from halfshaft.library.errors import HalfshaftError
 
@@ -41,6 +42,9 @@ T = TypeVar("T")
 #: What the library has.
 Shelf = Literal["vehicles", "components", "cycles"]
 
+#: Ways of a compared full acceleration, in the order in which they are shown.
+COMPARED: tuple[Mode | Literal["forward"], ...] = ("hybrid", "iteration", "refined", "forward")
+
 #: More steps than this do not fit into the memory of a small machine, all outputs kept.
 MOST_STEPS = 2_000_000
 
@@ -49,7 +53,6 @@ app = typer.Typer(
     help="Vehicle powertrains: cycle runs, full acceleration, FMUs.",
     epilog="A vehicle or a cycle is a name of the library (halfshaft list) or the path of a TOML or CSV file.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -71,7 +74,21 @@ def _main(
     pass
 
 
-VehicleName = Annotated[str, typer.Argument(metavar="VEHICLE", help="Name in the library, or a TOML file.", show_default=False)]
+def _vehicles(incomplete: str) -> list[str]:
+    from halfshaft.models.vehicle import vehicle_names
+
+    return [name for name in vehicle_names() if name.startswith(incomplete)]
+
+
+def _cycles(incomplete: str) -> list[str]:
+    from halfshaft.cosim.cycle import cycle_names
+
+    return [name for name in cycle_names() if name.startswith(incomplete)]
+
+
+VehicleName = Annotated[
+    str, typer.Argument(metavar="VEHICLE", help="Name in the library, or a TOML file.", show_default=False, autocompletion=_vehicles)
+]
 GradeFile = Annotated[str | None, typer.Option("--grade", metavar="CSV", help="Grade of the road over distance, with --cycle.")]
 Smooth = Annotated[float | None, typer.Option(metavar="S", help="Smooth the trace of a recorder over windows of so many seconds.")]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle, body.m.")]
@@ -80,6 +97,7 @@ Values = Annotated[
     typer.Option("--set", metavar="NAME=VALUE", help='A number with unit, motor.J="0.05 kg m^2", or in SI; repeatable.'),
 ]
 Soc = Annotated[float | None, typer.Option(metavar="X", help="State of charge at the start, 0 to 1.")]
+Shown = Annotated[Units, typer.Option("--units", help="What to show: km and L/100 km, or miles, mph and mpg.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -90,14 +108,17 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and no
     \b
     Examples:
       halfshaft run small-car-series --cycle us06
-      halfshaft run small-car-electric --cycle udds --mass 1500 --soc 0.9 --plot udds.png
+      halfshaft run small-car-electric --cycle udds --soc 0.9 --plot udds.png
+      halfshaft run small-car-electric --cycle udds --mass 1500 --units us
       halfshaft run my-car.toml --cycle trip.csv --grade road.csv --out trip.nc
-      halfshaft run small-car-conventional --cycle hwfet --set engine.J="0.2 kg m^2" --json
+      halfshaft run my-car.toml --cycle us06 --set engine.J="0.2 kg m^2" --json
     """,
 )
 def _run(
     vehicle: VehicleName,
-    cycle: Annotated[str, typer.Option(metavar="CYCLE", help="Name in the library, or a CSV file.", show_default=False)],
+    cycle: Annotated[
+        str, typer.Option(metavar="CYCLE", help="Name in the library, or a CSV file.", show_default=False, autocompletion=_cycles)
+    ],
     via: Annotated[Via, typer.Option(help="The compiled step, an FMU of it through FMPy, or the forward-facing model.")] = "step",
     mode: Annotated[Mode, typer.Option(help="The paper's method; solved for the best end speed; the paper's benchmark.")] = "hybrid",
     dt: Annotated[float, typer.Option(metavar="S", help="Length of the step [s].")] = 1.0,
@@ -108,6 +129,7 @@ def _run(
     soc: Soc = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.nc", help="Write all time series to a netCDF file.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the run (.png, .svg, .pdf).")] = None,
+    units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
     from halfshaft.cosim.cycle import Cycle
@@ -143,7 +165,7 @@ def _run(
     if as_json:
         print_run_json(result)
         return
-    print_run(car, trace, result)
+    print_run(result, units)
     print_written(out, plot)
 
 
@@ -153,39 +175,48 @@ def _run(
 
     \b
     Examples:
-      halfshaft accelerate small-car-electric
+      halfshaft accelerate small-car-electric --units us
       halfshaft accelerate paper-series-1936 --to 96.6 --compare
       halfshaft accelerate small-car-conventional --mass 1600 --json
     """,
 )
 def _accelerate(
     vehicle: VehicleName,
-    to: Annotated[float, typer.Option(metavar="KMH", help="Speed to reach [km/h].")] = 100.0,
+    to: Annotated[
+        float | None, typer.Option(metavar="SPEED", help="Speed to reach: km/h, 100 unless given; with --units us mph, 60.")
+    ] = None,
+    mode: Annotated[Mode | None, typer.Option(help="How each step is solved; refined where there is a compiler.")] = None,
     mass: Mass = None,
     values: Values = None,
     compare: Annotated[bool, typer.Option("--compare", help="Also by iteration, refined, and with the forward-facing model.")] = False,
+    units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
-    from halfshaft.cosim.acceleration import accelerate
+    from halfshaft.cosim.acceleration import REQUEST, accelerate
 
     checks = _Checks()
     found = checks.vehicle(vehicle, mass, values, None)
-    if not 0 < to < 322:
-        checks.problem(f"--to {to:g} km/h, must be > 0 and < 322 km/h")
-    car = checks.done(found)
-    ways: dict[str, tuple[str, Mode, Via]] = {"time_s": ("hybrid", "hybrid", "step")}
-    if compare:
-        ways["iteration_s"] = ("iteration", "iteration", "step")
-        ways["refined_s"] = ("refined", "refined", "step")
-        ways["forward_s"] = ("forward-facing", "hybrid", "forward")
+    speed = SYSTEMS[units]["speed"]
+    wanted = (100.0 if units == "metric" else 60.0) if to is None else to
+    highest = speed.of(REQUEST)
+    if not 0 < wanted < highest:
+        checks.problem(f"--to {wanted:g} {speed.name}, must be > 0 and < {highest:.0f} {speed.name}")
+    car, v = checks.done(found), wanted / speed.of(1.0)
     runs: dict[str, Acceleration] = {}
-    for title, mode, via in ways.values():
+
+    def go(title: str, mode: Mode | None, via: Via) -> Acceleration:
         with busy(f"{title}: full acceleration of {car.name}"), solver_noise():
-            runs[title] = accelerate(car, to=to / 3.6, mode=mode, via=via)
+            return accelerate(car, to=v, mode=mode, via=via)
+
+    best = go(mode or "best effort", mode, "step")
+    runs[best.result.inputs.mode] = best
+    for title in COMPARED if compare else ("hybrid",):
+        if title not in runs:
+            runs[title] = go(title, None, "forward") if title == "forward" else go(title, title, "step")
     if as_json:
-        print_json({key: runs[title].time for key, (title, _, _) in ways.items()})
+        print_json({"time_s": best.time, "mode": best.result.inputs.mode} | {f"{title}_s": runs[title].time for title in sorted(runs)})
     else:
-        print_acceleration(car, to, runs)
+        print_acceleration(car, v, runs, units)
 
 
 @app.command(
@@ -204,7 +235,7 @@ def _fmu(
     vehicle: VehicleName,
     fmi: Annotated[Literal["2", "3"], typer.Option(help="Version of the standard.", show_default=False)],
     output: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The FMU to write.", show_default=False)],
-    cycle: Annotated[str | None, typer.Option(metavar="CYCLE", help="Name in the library, or a CSV file.")] = None,
+    cycle: Annotated[str | None, typer.Option(metavar="CYCLE", help="Name in the library, or a CSV file.", autocompletion=_cycles)] = None,
     dt: Annotated[float, typer.Option(metavar="S", help="Length of the internal steps [s].")] = 1.0,
     grade: GradeFile = None,
     mass: Mass = None,

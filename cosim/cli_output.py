@@ -6,6 +6,7 @@ import io
 import json
 import math
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,11 +23,11 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from typer.core import TyperGroup
 
+from halfshaft.cosim.units import Units, shown
 from halfshaft.library.errors import HalfshaftError
 
 if TYPE_CHECKING:
     from halfshaft.cosim.acceleration import Acceleration
-    from halfshaft.cosim.cycle import Cycle
     from halfshaft.cosim.result import Result
     from halfshaft.models.vehicle import Vehicle
 
@@ -58,9 +59,17 @@ class Commands(TyperGroup):
             warnings.showwarning = show
             try:
                 return super().invoke(ctx)
+            except typer.BadParameter as error:
+                error.message = _in_own_words(error.message)
+                raise
             except HalfshaftError as error:
                 typer.secho(f"error: {error}", fg="red", err=True)
                 raise typer.Exit(2) from None
+
+
+def _in_own_words(message: str) -> str:
+    """Return what a library says of a value of the wrong kind without its own way of speaking."""
+    return re.sub(r"^Input should be a valid (\w+).*", r"must be a \1", message.removeprefix("Value error, "))
 
 
 def console() -> Console:
@@ -144,74 +153,54 @@ def print_run_json(result: Result) -> None:
         "speed_limit_J": a.speed_limit,
         "residual_J": a.residual,
     }
-    print_json({**result.summary, "account": account})
+    print_json({**result.summary, "account": account, "audit": _failures(result)})
 
 
-def print_run(car: Vehicle, trace: Cycle, result: Result) -> None:
+def print_run(result: Result, units: Units = "metric") -> None:
     """Print the main numbers of a run, its energy account and its warnings."""
-    out = console()
-    s = result.summary
-    how = "forward-facing" if result.inputs.via == "forward" else f"{VIA[result.inputs.via]}, {result.inputs.mode}, {result.inputs.dt:g} s"
-    out.print(f"[bold]{escape(car.name)}[/] over [bold]{escape(trace.name)}[/]  [dim]{escape(how)}[/]", highlight=False, soft_wrap=True)
-    facts = [("distance", f"{s['distance_m'] / 1000:.3f} km"), ("duration", f"{s['duration_s']:g} s")]
-    if s["fuel_L"] is not None:
-        economy = s["fuel_economy_L_per_100km"]
-        facts += [("fuel", f"{s['fuel_L']:.4f} L"), ("economy", "-" if economy is None else f"{economy:.3f} L/100 km")]
-    if s["motor_input_J"] is not None:
-        facts.append(("motor input", f"{s['motor_input_J'] / 3.6e6:.4f} kWh"))
-    if s["soc_end"] is not None:
-        facts.append(("state of charge", f"{s['soc_start']:.4f} -> {s['soc_end']:.4f}"))
-    facts.append(("largest trace miss", f"{s['trace_miss_max_mps'] * 3.6:.2f} km/h"))
-    facts += [("", "")] * (len(facts) % 2)
-    grid = Table.grid(padding=(0, 3))
-    for (name, value), (other, also) in zip(facts[::2], facts[1::2], strict=True):
+    from halfshaft.cosim.facts import facts
+    from halfshaft.cosim.remarks import remarks
+
+    out, run = console(), result.inputs
+    way = VIA[run.via] if run.compiled else "interpreted step"
+    how = "forward-facing" if run.via == "forward" else f"{way}, {run.mode}, {run.dt:g} s"
+    title = f"[bold]{escape(run.vehicle)}[/] over [bold]{escape(run.cycle)}[/]"
+    out.print(f"{title}  [dim]{escape(how)}[/]", highlight=False, soft_wrap=True)
+    found = facts(result, units)
+    found += [("", "")] * (len(found) % 2)
+    grid = Table.grid(padding=(0, 2))
+    for (name, value), (other, also) in zip(found[::2], found[1::2], strict=True):
         grid.add_row(f"[dim]{name}[/]", value, f"[dim]{other}[/]", also)
     out.print(Padding(grid, (1, 0, 0, 2), expand=False), highlight=False)
-    out.print(_account_table(car, result))
-    for text in result.warnings:
+    out.print(_account_table(result))
+    for text in (*remarks(result, units), *_failures(result)):
         print_line(f"  ! {text}", "yellow")
 
 
-def _account_table(car: Vehicle, result: Result) -> Table:
+def _failures(result: Result) -> list[str]:
+    """Return what the audit of a run found, where it can be audited."""
+    return list(result.audit.failures) if result.auditable else []
+
+
+def _account_table(result: Result) -> Table:
     """Return the energies in Wh, from the source to the wheel, and what became of them."""
-    a = result.account
-    rows = {part.name: part for part in a.parts}
-    order = sorted((role for role in reversed(list(car.parts)) if role in rows), key=lambda role: role != "engine")
+    from halfshaft.cosim.facts import HEADINGS, energy_rows
+
     table = new_table()
-    table.add_column("energy \\[Wh]", no_wrap=True)
-    for heading in ("in", "out", "loss"):
-        table.add_column(heading, justify="right", no_wrap=True, min_width=9)
-    for name in order:
-        part = rows[name]
-        table.add_row(name.replace("_", " "), *(_wh(x) for x in (part.received, part.delivered, part.lost)))
-    table.add_section()
-    if a.fuel:
-        table.add_row("fuel", _wh(a.fuel), "", "")
-    if a.battery:
-        table.add_row("battery store", _wh(a.battery), "", "")
-    table.add_row("losses", "", "", _wh(sum(a.losses.values())))
-    for name, x in (("kinetic", a.kinetic), ("potential", a.potential)):
-        table.add_row(f"{name} energy", "", _wh(x), "")
-    lines = (
-        ("speed mismatch", a.speed_mismatch),
-        ("inertia discretisation", a.inertia_discretisation),
-        ("limit and standstill", a.speed_limit),
-    )
-    for name, x in lines:
-        table.add_row(f"[dim]method's error: {name}[/]", "", f"[dim]{_wh(x)}[/]", "")
-    table.add_row(f"balance [dim]({a.balance_relative:.0e} of the turnover)[/]", "", "", _wh(a.residual))
+    for i, heading in enumerate(HEADINGS):
+        table.add_column(escape(heading), justify="right" if i else "left", no_wrap=True, min_width=8 if 0 < i < 4 else None)
+    parts = len(result.account.parts)
+    for i, row in enumerate(energy_rows(result.account)):
+        if i == parts:
+            table.add_section()
+        table.add_row(*(escape(cell) for cell in row.cells()), style="dim" if row.soft else None)
     return table
 
 
-def _wh(energy: float) -> str:
-    """Return an energy [J] in Wh; what is rounding is zero."""
-    return f"{energy / 3600:.2f}".replace("-0.00", "0.00")
-
-
-def print_acceleration(car: Vehicle, to: float, runs: Mapping[str, Acceleration]) -> None:
-    """Print the times to a speed [km/h] by method; with the iteration among them, the others are compared with it."""
-    out = console()
-    out.print(f"[bold]{escape(car.name)}[/] from 0 to {to:g} km/h", highlight=False, soft_wrap=True)
+def print_acceleration(car: Vehicle, to: float, runs: Mapping[str, Acceleration], units: Units = "metric") -> None:
+    """Print the times to a speed [m/s] by method; with the iteration among them, the others are compared with it."""
+    out, first = console(), next(iter(runs.values()))
+    out.print(f"[bold]{escape(car.name)}[/] from 0 to {shown('speed', to, units, 1).replace('.0 ', ' ')}", highlight=False, soft_wrap=True)
     table = new_table()
     table.add_column("method")
     table.add_column("time \\[s]", justify="right")
@@ -225,9 +214,9 @@ def print_acceleration(car: Vehicle, to: float, runs: Mapping[str, Acceleration]
             row.append("" if t is None or reference is None or title == "iteration" else f"{100 * (t / reference - 1):+.2f} %")
         table.add_row(*row)
     out.print(table)
-    if runs["hybrid"].time is None:
-        result = runs["hybrid"].result
-        out.print(f"  [yellow]highest speed {result['body.v'].max() * 3.6:.1f} km/h after {result.summary['duration_s']:g} s[/]")
+    if first.time is None:
+        top, duration = first.result.highest["body.v"], first.result.figures["duration_s"]
+        out.print(f"  [yellow]highest speed {shown('speed', top, units, 1)} within {duration:g} s[/]")
 
 
 def print_bench(rows: Sequence[Mapping[str, Any]]) -> None:

@@ -107,7 +107,9 @@ class Cycle:
     def __post_init__(self) -> None:
         """Check what was given, and keep it in the form that compiled code reads."""
         problems = [problem] if (problem := name_problem(self.name)) else []
-        rows = {n: _row(x, n, problems) for n in ("time", "speed", "grade", "key_on") if (x := getattr(self, n)) is not None}
+        rows: dict[str, Any] = {
+            n: _row(x, n, problems) for n in ("time", "speed", "grade", "key_on") if (x := getattr(self, n)) is not None
+        }
         for name, x in rows.items():
             if x is not None and rows["time"] is not None and len(x) != len(rows["time"]):
                 problems.append(f"{name} has {len(x)} points, time has {len(rows['time'])}")

@@ -109,8 +109,13 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
         If anything is wrong with the file; every bad line is named, up to a limit.
 
     """
-    lines = read_text(path, LARGEST).splitlines()
-    notes = {m[1]: cleaned(m[2]) for line in lines if line.startswith("#") and (m := re.match(r"#\s*(name|title|source):(.*)", line))}
+    # Not by `splitlines`, which also breaks at control characters.
+    lines = read_text(path, LARGEST).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    notes = {
+        m[1]: m[2].strip() if m[1] == "name" else cleaned(m[2])
+        for line in lines
+        if line.startswith("#") and (m := re.match(r"#\s*(name|title|source):(.*)", line))
+    }
     start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith(("#", "sep="))), None)
     if start is None:
         raise InputError(str(path), ["is empty"])
@@ -119,8 +124,9 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
     columns, width = _columns(path, head.split(separator), start + 1, known)
     body = lines[start + 1 :]
     values = _quickly(body, separator, columns, width)
-    found = {} if values is None else {c.name: values[:, k] * c.factor for k, c in enumerate(columns)}
-    if not found or np.any(np.diff(found[axis]) <= 0) or not all(_holds(known[name], x) for name, x in found.items()):
+    with np.errstate(over="ignore"):
+        found = {} if values is None else {c.name: values[:, k] * c.factor for k, c in enumerate(columns)}
+    if not found or not all(_holds(known[name], x) for name, x in found.items()) or np.any(np.diff(found[axis]) <= 0):
         raise InputError(str(path), _wrong(body, start + 2, separator, columns, width, known, axis))
     return notes, found
 

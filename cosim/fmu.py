@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
-from halfshaft.cosim.cycle import Cycle, Samples
+from halfshaft.cosim.cycle import Cycle, Samples, cycle_names
 from halfshaft.fmu_build import package
 from halfshaft.fmu_build.code import compiled_tables, step_code
 from halfshaft.fmu_build.variables import SHORTEST_STEP, CycleTable, Version
@@ -43,7 +44,14 @@ def build_fmu(vehicle: Vehicle, path: str | Path, *, fmi: Version, cycle: Cycle 
         raise InputError(f"FMU of '{vehicle.name}'", problems)
     table = None if cycle is None else _cycle_table(cycle.name, cycle.sampled(dt))
     step = assemble(model_of(vehicle), vehicle.title, compiled_tables)
-    return package.build_fmu(step, step_code(step), path, fmi=fmi, step_size=dt, cycle=table)
+    stop_time = default_stop_time() if cycle is None else None
+    return package.build_fmu(step, step_code(step), path, fmi=fmi, step_size=dt, cycle=table, name=vehicle.name, stop_time=stop_time)
+
+
+@cache
+def default_stop_time() -> float:
+    """Return how long a tool simulates a driven FMU unless told: as long as the longest cycle of the library [s]."""
+    return max(Cycle.load(name).duration for name in cycle_names())
 
 
 def build_driven(step: Step, path: Path, *, fmi: Version, dt: float) -> Path:

@@ -280,7 +280,9 @@ def _facts(result: Result) -> list[str]:
     s = result.summary
     facts = [f"{s['distance_m'] / 1000:.2f} km in {s['duration_s']:g} s"]
     if s["fuel_economy_L_per_100km"] is not None:
-        facts.append(f"fuel {s['fuel_economy_L_per_100km']:.2f} L/100 km")
+        balanced = s["fuel_equivalent_L_per_100km"]
+        more = "" if balanced is None else f" ({balanced:.2f} with the battery as fuel)"
+        facts.append(f"fuel {s['fuel_economy_L_per_100km']:.2f} L/100 km{more}")
     if s["motor_input_J"] is not None:
         facts.append(f"motor input {s['motor_input_J'] / 3.6e6:.2f} kWh")
     if s["soc_end"] is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,11 @@ import numpy as np
 from halfshaft.cosim.account import Account, account
 from halfshaft.cosim.audit import Audit
 from halfshaft.cosim.compiled import Array
-from halfshaft.library.errors import InputError
+from halfshaft.cosim.facts import in_html, in_line
+from halfshaft.cosim.origin import Made, Origin, Ratings
+from halfshaft.cosim.remarks import remarks
+from halfshaft.cosim.units import mpg, mpge
+from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.texts import open_regular
 from halfshaft.library.writing import written_whole
 from halfshaft.models.assembly import Description
@@ -22,8 +26,14 @@ from halfshaft.models.assembly import Description
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Relative residual of the energy account from which a run is doubtful.
-OPEN_BALANCE = 1e-6
+#: What a saved run is written as; 1 had no origin.
+FORMAT = 2
+#: Parts that make electricity of fuel.
+GENERATORS = ("generator",)
+#: Efficiency of a genset that did not run, or hardly: that of the library's small cars is 0.31 on HWFET.
+GENSET_NOMINAL = 0.30
+#: Fuel over the battery's energy from which a run knows its genset's efficiency.
+GENSET_RAN = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,10 @@ class Inputs:
     dt: float
     version: str
     parameters: Mapping[str, float]
+    #: Whether the step ran as machine code.
+    compiled: bool = True
+    #: Hashes of the cycle and of the parts by role; empty for files of version 0.1.
+    hashes: Mapping[str, str] = field(default_factory=dict, repr=False)
     #: What is doubtful about the vehicle and the cycle.
     notes: tuple[str, ...] = ()
 
@@ -61,7 +75,9 @@ class Result:
     highest
         Maximum of every output.
     first, last
-        Speed and state of charge at start and end, by output name.
+        Speed and state of charge at start and end, by output name; `first` has the time too.
+    made
+        What the run was made of; None for files of version 0.1.
 
     """
 
@@ -73,8 +89,7 @@ class Result:
     highest: Mapping[str, float]
     first: Mapping[str, float]
     last: Mapping[str, float]
-    #: Makes the audit; a run that was loaded, or is forward-facing, has none.
-    audited: Callable[[], Audit] | None = field(default=None, repr=False, compare=False)
+    made: Made | Origin | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, name: str) -> Array:
         """Return one time series, shape ``(n,)``.
@@ -82,20 +97,57 @@ class Result:
         Raises
         ------
         InputError
-            If there is no such output; the nearest name is given.
+            If there is no such output, the nearest name is given; or if the run kept no time series.
 
         """
-        from halfshaft.library.errors import nearest
-
         for i, d in enumerate(self.outputs):
             if d.name == name:
-                return self.history[:, i]
-        raise InputError("result", [f"no output is called {name}{nearest(name, [d.name for d in self.outputs])}"])
+                return self._rows[:, i]
+        raise InputError("result", [f"no output is called {name}{nearest(name, {d.name: d for d in self.outputs})}"])
+
+    def __repr__(self) -> str:
+        return f"<Result {in_line(self)}>"
+
+    def _repr_html_(self) -> str:
+        return in_html(self)
+
+    @property
+    def has_history(self) -> bool:
+        """Whether the run kept its time series."""
+        return len(self.history) == len(self.time)
+
+    @property
+    def _rows(self) -> Array:
+        if not self.has_history:
+            raise InputError("result", ["the run kept no time series: it was made with history=False"])
+        return self.history
+
+    @cached_property
+    def dt(self) -> Array:
+        """Length of each step [s]."""
+        return np.diff(self.time, prepend=self.t_start)
+
+    @property
+    def t_start(self) -> float:
+        """Time at the start of the first step [s]."""
+        if "time" in self.first or not len(self.time):
+            return self.first.get("time", 0.0)
+        return float(self.time[0]) - self.inputs.dt
+
+    @property
+    def origin(self) -> Origin | None:
+        """What the run was made of: vehicle, parts and cycle as texts, date, machine, versions; None for files of version 0.1."""
+        return self.made.origin if isinstance(self.made, Made) else self.made
 
     @cached_property
     def account(self) -> Account:
         """The energy account."""
         return account(self.outputs, self.energies)
+
+    @property
+    def auditable(self) -> bool:
+        """Whether the run can be audited: a run of the step that kept its history and was not loaded from a file."""
+        return isinstance(self.made, Made) and self.inputs.via != "forward" and len(self.history) > 0
 
     @cached_property
     def audit(self) -> Audit:
@@ -107,77 +159,79 @@ class Result:
             If the run kept no history, is forward-facing, or was loaded from a file.
 
         """
-        if self.audited is None or not len(self.history):
+        from halfshaft.cosim.simulate import audit_of  # which makes results
+
+        if not isinstance(self.made, Made) or not self.auditable:
             raise InputError("audit", ["only a run of the step that kept its history can be audited, right after it was made"])
-        return self.audited()
+        return audit_of(self.made.vehicle, self.made.cycle.sampled(self.inputs.dt), self.history)
 
     @cached_property
     def dataset(self) -> xr.Dataset:
         """All time series with units and meanings, as a labelled dataset; built when first asked for."""
         import xarray as xr  # takes a fifth of a second
 
-        series = {
-            d.name: xr.DataArray(self.history[:, i], dims="time", attrs={"units": d.unit, "long_name": d.doc})
-            for i, d in enumerate(self.outputs)
+        rows = self._rows
+        series = {d.name: xr.DataArray(rows[:, i], dims="time", attrs=_attributes(d)) for i, d in enumerate(self.outputs)}
+        time = xr.DataArray(self.time, dims="time", attrs={"units": "s", "long_name": "end of the step", "axis": "T"})
+        attributes = {
+            "Conventions": "CF-1.11",
+            "title": f"{self.inputs.vehicle} over {self.inputs.cycle}",
+            "source": f"halfshaft {self.inputs.version}, {self.inputs.via}, {self.inputs.mode}, steps of {self.inputs.dt:g} s",
+            "result": json.dumps(self._plain()),
         }
-        attributes = {"result": json.dumps(self._plain())}
-        time = xr.DataArray(self.time, dims="time", attrs={"units": "s", "long_name": "end of the step"})
+        if self.origin is not None:
+            attributes["history"] = f"{self.origin.date}: made on {self.origin.machine}"
         return xr.Dataset(series, coords={"time": time}, attrs=attributes)
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
-        """The main numbers, SI units in the names' endings."""
-        distance = self.last["body.distance"]
+    def figures(self) -> dict[str, Any]:
+        """The main numbers, SI or the unit in the names' endings; None is what the vehicle does not have."""
+        distance, a = self.last["body.distance"], self.account
         out: dict[str, Any] = {
-            "vehicle": self.inputs.vehicle,
-            "cycle": self.inputs.cycle,
-            "via": self.inputs.via,
-            "mode": self.inputs.mode,
             "distance_m": distance,
-            "duration_s": float(self.time[-1]) if len(self.time) else 0.0,
-            "fuel_L": None,
-            "fuel_economy_L_per_100km": None,
+            "duration_s": float(self.time[-1]) - self.t_start if len(self.time) else 0.0,
+            **_fuel(self, distance),
+            "energy_from_battery_J": None,
+            "energy_Wh_per_km": None,
+            "energy_MPGe": None,
+            "range_m": None,
+            **(self.made.ratings if self.made else Ratings())._asdict(),
             "motor_input_J": self.energies.get("motor.P_in"),
             "soc_start": self.first.get("battery.soc"),
             "soc_end": self.last.get("battery.soc"),
             "trace_miss_max_mps": max(self.highest["body.trace_miss"], 0.0) if len(self.time) else 0.0,
-            "balance_relative": self.account.balance_relative,
-            "speed_mismatch_relative": self.account.mismatch_relative,
-            "warnings": list(self.warnings),
+            "balance_relative": a.balance_relative,
+            "speed_mismatch_relative": a.mismatch_relative,
         }
-        if "engine.fuel_used" in self.last:
-            litres = 1e3 * self.last["engine.fuel_used"] / self.inputs.parameters["engine.rho_fuel"]
-            out["fuel_L"] = litres
-            out["fuel_economy_L_per_100km"] = 1e5 * litres / distance if distance > 0 else None
+        if any(d.booking == "stored" for d in self.outputs):
+            out["energy_from_battery_J"] = a.battery
+            if out["fuel_L"] is None and distance > 0 and a.battery > 0:
+                out["energy_Wh_per_km"] = a.battery / 3.6 / distance
+                out["energy_MPGe"] = mpge(out["energy_Wh_per_km"])
+                out["range_m"] = out["pack_energy_J"] and out["pack_energy_J"] * distance / a.battery
         return out
+
+    @property
+    def genset_ran(self) -> bool:
+        """Whether enough fuel became electricity to tell the genset's efficiency by it."""
+        return _generated(self) > 0 and self.account.fuel > GENSET_RAN * abs(self.account.battery)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """What was run, the main numbers, and what to know about them."""
+        inputs = {name: getattr(self.inputs, name) for name in ("vehicle", "cycle", "via", "mode")}
+        return {**inputs, **self.figures, "warnings": list(self.warnings)}
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know about this run."""
-        found, p, n = [], self.inputs.parameters, len(self.time)
-        if not n:
-            return ("the cycle has no length: nothing was run",)
-        miss = self.highest["body.trace_miss"]
-        if miss > p["body.v_miss"]:
-            when = f" at t = {self.time[int(np.argmax(self['body.trace_miss']))]:g} s" if len(self.history) else ""
-            found.append(f"trace missed by up to {miss * 3.6:.1f} km/h{when}")
-        if self.highest.get("wheel.slip_limited", 0) > 0:
-            found.append("grip limit reached")
-        if self.highest.get("battery.battery_limited", 0) > 0:
-            found.append("battery limit reached")
-        if "battery.soc" in self.last and self.last["battery.soc"] < 1e-3:
-            found.append("battery empty")
-        if "motor.omega_max" in p and self.highest.get("motor.omega", 0) >= p["motor.omega_max"] * p["motor.speed_scale"] * (1 - 1e-9):
-            found.append("motor at its top speed")
-        if "engine.fuel_used" in self.last and self.last["engine.fuel_used"] == 0:
-            found.append("no fuel used: the engine never ran")
-        if abs(self.account.balance_relative) > OPEN_BALANCE:
-            found.append(f"the energy account is open by {self.account.balance_relative:.1e} of the turnover")
-        return (*found, *self.inputs.notes)
+        return (*remarks(self), *self.inputs.notes)
 
     def _plain(self) -> dict[str, Any]:
         return {
-            "inputs": {**self.inputs.__dict__, "parameters": dict(self.inputs.parameters)},
+            "format": FORMAT,
+            "origin": self.origin and self.origin.plain(),
+            "inputs": {**self.inputs.__dict__, "parameters": dict(self.inputs.parameters), "hashes": dict(self.inputs.hashes)},
             "outputs": [list(d) for d in self.outputs],
             "energies": dict(self.energies), "highest": dict(self.highest), "first": dict(self.first), "last": dict(self.last),
         }  # fmt: skip
@@ -207,20 +261,67 @@ class Result:
             If the file is missing or not a result.
 
         """
-        import xarray as xr
+        import h5py
 
         with open_regular(path) as file:
             try:
-                with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+                with h5py.File(file) as data:
                     plain = json.loads(data.attrs["result"])
+                    written = plain.get("format", 1)
+                    if written > FORMAT:
+                        raise InputError(str(path), [f"is a result of format {written}, this version reads up to {FORMAT}"])
                     outputs = tuple(Description(*d) for d in plain["outputs"])
-                    history = np.stack([data[d.name].to_numpy() for d in outputs], axis=1).astype(float)
-                    time = data["time"].to_numpy().astype(float)
+                    history = np.stack([data[d.name][()] for d in outputs], axis=1).astype(float)
+                    time = data["time"][()].astype(float)
+                origin = Origin.of_plain(plain["origin"]) if plain.get("origin") else None
                 inputs = Inputs(**{**plain["inputs"], "notes": tuple(plain["inputs"].get("notes", ()))})
-                result = cls(inputs, time, outputs, history, *(plain[x] for x in ("energies", "highest", "first", "last")))
+                energies, highest, first, last = (plain[x] for x in ("energies", "highest", "first", "last"))
+                result = cls(inputs, time, outputs, history, energies, highest, first, last, origin)
                 # Nothing is missing from what the summary can be made of.
                 _ = result.summary
+            except InputError:
+                raise
             # What HDF5 and a changed text raise has no common base.
             except Exception as error:
                 raise InputError(str(path), [f"is not a result of halfshaft: {type(error).__name__}: {error}"]) from error
         return result
+
+
+def _attributes(d: Description) -> dict[str, Any]:
+    """Return what CF tools ask of a variable."""
+    flag = {"flag_values": np.array([0.0, 1.0]), "flag_meanings": "no yes"} if d.kind == "flag" else {}
+    return {"units": d.unit, "long_name": d.doc, **flag}
+
+
+def _generated(result: Result) -> float:
+    """Return the energy that generators made [J]."""
+    return sum(result.energies.get(f"{part}.P_out", 0.0) for part in GENERATORS)
+
+
+def _fuel(result: Result, distance: float) -> dict[str, Any]:
+    """Return fuel and fuel economy, and both with the battery's energy turned into fuel; None without an engine."""
+    p, a = result.inputs.parameters, result.account
+    names = ("fuel_L", "fuel_economy_L_per_100km", "fuel_economy_mpg")
+    more = ("fuel_equivalent_L", "fuel_equivalent_L_per_100km", "fuel_equivalent_efficiency", "fuel_equivalent_basis")
+    out: dict[str, Any] = dict.fromkeys((*names, *more))
+    burnt = {name.removesuffix(".fuel_used"): x for name, x in result.last.items() if name.endswith(".fuel_used")}
+    if not burnt:
+        return out
+
+    def economy(litres: float) -> float | None:
+        return 1e5 * litres / distance if distance > 0 else None
+
+    out["fuel_L"] = sum(1e3 * mass / p[f"{part}.rho_fuel"] for part, mass in burnt.items())
+    out["fuel_economy_L_per_100km"] = x = economy(out["fuel_L"])
+    out["fuel_economy_mpg"] = mpg(x) if x else None
+    if any(d.booking == "stored" for d in result.outputs):
+        own = result.genset_ran
+        efficiency = _generated(result) / a.fuel if own else GENSET_NOMINAL
+        # A litre of the fuels burnt, all engines together; of one engine's where none ran.
+        energy = [1e-3 * p[f"{part}.rho_fuel"] * p[f"{part}.H_fuel"] for part in burnt]
+        per_litre = a.fuel / out["fuel_L"] if out["fuel_L"] else sum(energy) / len(energy)
+        out["fuel_equivalent_L"] = out["fuel_L"] + a.battery / efficiency / per_litre
+        out["fuel_equivalent_L_per_100km"] = economy(out["fuel_equivalent_L"])
+        out["fuel_equivalent_efficiency"] = efficiency
+        out["fuel_equivalent_basis"] = "the run's own mean genset efficiency" if own else "a nominal genset efficiency"
+    return out

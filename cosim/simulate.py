@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -10,9 +11,10 @@ import numpy as np
 
 from halfshaft import __version__
 from halfshaft.cosim.audit import Audit, Auditor
-from halfshaft.cosim.compiled import Array, Mode, Stepper, stepper
+from halfshaft.cosim.compiled import Array, InterpretedStep, Mode, Stepper, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
+from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.cosim.ways import Via as Via
 from halfshaft.library.errors import InputError
@@ -101,20 +103,23 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         problems.append(f"mode {mode} runs via step only, not via {via}")
     if problems:
         raise InputError("run", problems)
+    made = Made(vehicle, cycle, time.time())
     inputs = Inputs(
-        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), (*vehicle.notes, *cycle.doubts)
-    )
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made),
+        notes=(*vehicle.notes, *cycle.doubts),
+    )  # fmt: skip
     if via == "forward":
-        return _run_forward(vehicle, cycle, inputs)
+        return _run_forward(vehicle, cycle, inputs, made)
     if via in ("fmu2", "fmu3"):
         from halfshaft.cosim.by_fmu import march_fmu
 
         step, samples = stepper_of(vehicle).step, cycle.sampled(dt)
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        result = _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, samples))
-        return replace(result, audited=lambda: audit_of(vehicle, samples, rows))
+        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), _first(vehicle, cycle, samples), made)
     compiled = stepper_of(vehicle)
+    if isinstance(compiled, InterpretedStep):
+        inputs = replace(inputs, compiled=False)
     samples = cycle.sampled(dt)
     march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
     names = [d.name for d in compiled.step.outputs]
@@ -122,14 +127,11 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     highest = dict(zip(names, march.highest.tolist(), strict=True))
     last = {d.name: float(march.state[d.state]) for d in compiled.step.outputs if d.state is not None}
     rows = np.empty((0, len(names))) if march.history is None else march.history
-    return Result(
-        inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, samples), last,
-        lambda: audit_of(vehicle, samples, rows),
-    )  # fmt: skip
+    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, _first(vehicle, cycle, samples), last, made)
 
 
-def _first(vehicle: Vehicle, samples: Samples) -> dict[str, float]:
-    first = {"body.v": samples.v_start}
+def _first(vehicle: Vehicle, cycle: Cycle, samples: Samples) -> dict[str, float]:
+    first = {"time": float(cycle.time[0]), "body.v": samples.v_start}
     if "battery.soc_start" in vehicle.values:
         first["battery.soc"] = vehicle.values["battery.soc_start"]
     return first
@@ -146,14 +148,21 @@ def _result(
     rows: Array,
     energies: Mapping[str, float],
     first: Mapping[str, float],
+    made: Made,
 ) -> Result:
     names = [d.name for d in outputs]
     highest = dict(zip(names, rows.max(axis=0).tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0)
     last = dict(zip(names, rows[-1].tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0) | dict(first)
-    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last)
+    return Result(inputs, samples.t, outputs, rows, energies, highest, first, last, made)
 
 
-def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver = Driver()) -> Result:  # noqa: B008
+def _run_forward(
+    vehicle: Vehicle,
+    cycle: Cycle,
+    inputs: Inputs,
+    made: Made,
+    driver: Driver = Driver(),  # noqa: B008
+) -> Result:
     forward = _forward(Build(vehicle))
     samples = cycle.sampled(driver.dt)
     parameters = parameters_of(vehicle, forward.stepper.step, samples.v_start)
@@ -167,4 +176,4 @@ def _run_forward(vehicle: Vehicle, cycle: Cycle, inputs: Inputs, driver: Driver 
     rows = np.column_stack([done.history, samples.v, samples.v - v])
     # Powers are integrated by IDAS; of all else the sum over the samples must do.
     energies = {d.name: float(e) for d, e in zip(outputs, rows.T @ samples.dt, strict=True)} | done.energies
-    return _result(inputs, outputs, samples, rows, energies, _first(vehicle, samples))
+    return _result(inputs, outputs, samples, rows, energies, _first(vehicle, cycle, samples), made)

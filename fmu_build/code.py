@@ -1,4 +1,4 @@
-"""From a step to C: one self-contained piece of C99, everything static, that any shell can include.
+"""From a step to C: one self-contained piece of C99 (and C++), everything static, that any shell can include.
 
 It defines ``HS_NX``, ``HS_NU``, ``HS_NP``, ``HS_NQ``, ``HS_NY`` and::
 
@@ -19,6 +19,7 @@ computed once; tables with an axis in common share its search.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
@@ -29,6 +30,9 @@ from halfshaft.library.tables import Table, axis_source, clip_source, external_s
 from halfshaft.models.assembly import Step
 
 _PRELUDE = """#include <math.h>
+#ifdef __cplusplus
+#define restrict __restrict
+#endif
 static inline double hs_min(double a, double b) { return a < b ? a : b; }
 static inline double hs_max(double a, double b) { return a > b ? a : b; }
 static inline double hs_sign(double a) { return a < 0 ? -1 : a > 0 ? 1 : a; }
@@ -53,6 +57,8 @@ _FLAGS = {
     ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_NE: "{0} != {1}",
     ca.OP_NOT: "!{0}", ca.OP_AND: "{0} && {1}", ca.OP_OR: "{0} || {1}",
 }  # fmt: skip
+#: Names of values in the lines that are written.
+_NAME = re.compile(r"\b[ct]\d+\b")
 
 
 class _Writer:
@@ -161,8 +167,9 @@ def step_code(step: Step) -> str:
     starter = _Writer({"p": p}, step.tables, axes)
     first_names = starter.write(step.start.call([p])[0])
 
-    body = "\n".join(writer.lines)
-    kept = [n for n, only_p in writer.only_p.items() if only_p and (_uses(body, n) or n in next_names or n in output_names)]
+    lines = _used(writer.lines, [*next_names, *output_names])
+    found = set(_NAME.findall(" ".join([*lines, *next_names, *output_names])))
+    kept = [name for name, only_p in writer.only_p.items() if only_p and name in found]
     unpack = [f"  const {'int' if n in writer.flags else 'double'} {n} = q[{i}];" for i, n in enumerate(kept)]
     parts = [
         _PRELUDE,
@@ -170,12 +177,12 @@ def step_code(step: Step) -> str:
         *(values_source(name, t) for name, t in tables.items()),
         f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters)}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
-        "static void hs_start(const double *p, double *x) {", *starter.prepared, *_stores("x", first_names), "}\n",
-        "static int hs_prepare(const double *p, double *q) {", *writer.prepared, *_stores("q", kept),
+        "static void hs_start(const double *p, double *x) {", *_used(starter.prepared, first_names), *_stores("x", first_names), "}\n",
+        "static int hs_prepare(const double *p, double *q) {", *_used(writer.prepared, kept), *_stores("q", kept),
         "  return hs_lost(p, HS_NP);\n}\n",
         "static void hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                             const double *restrict q, double *restrict xn, double *restrict y) {",
-        *_stored_at_once([*unpack, *writer.lines], [*_stores("xn", next_names), *_stores("y", output_names)]),
+        *_stored_at_once([*unpack, *lines], [*_stores("xn", next_names), *_stores("y", output_names)]),
         "}\n",
         "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
         "  double q[HS_NQ];",
@@ -201,5 +208,21 @@ def _stored_at_once(lines: Sequence[str], stores: Sequence[str]) -> list[str]:
     return [*ordered, *(store for rest in waiting.values() for store in rest)]
 
 
-def _uses(body: str, name: str) -> bool:
-    return any(f"{name}{end}" in body for end in (" ", ";", ",", ")", "]"))
+def _used(lines: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return the lines that the names come from, in order."""
+    wanted, kept = set(names), list[str]()
+    for line in reversed(lines):
+        name, _, value = line.partition(" = ")
+        if name.rpartition(" ")[2] in wanted:
+            wanted |= set(_NAME.findall(value))
+            kept.append(line)
+    return kept[::-1]
+
+
+def relations_code(step: Step) -> str:
+    """Return C of ``hs_relate(p, broken)``, which tells of each relation between parameters whether it is broken."""
+    p = ca.SX.sym("p", len(step.parameters))
+    writer = _Writer({"p": p}, {}, {})
+    names = writer.write(step.broken.call([p])[0])
+    head = "static void hs_relate(const double *p, int *broken) {\n  (void)p, (void)broken;"
+    return "\n".join([head, *_used(writer.prepared, names), *_stores("broken", names), "}\n"])

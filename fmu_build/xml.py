@@ -6,6 +6,7 @@ Value references are positions in the list of variables.  Every unit gets its ex
 from __future__ import annotations
 
 import os
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -13,7 +14,8 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-from halfshaft.fmu_build.variables import CycleTable, Variable, Version
+from halfshaft.fmu_build.sources import Sources
+from halfshaft.fmu_build.variables import CycleTable, Variable, Version, identifier
 from halfshaft.library.errors import InputError
 from halfshaft.models.assembly import Step
 
@@ -27,54 +29,89 @@ _VARIABILITY = {"independent": "continuous", "input": "continuous", "output": "c
 
 
 def timestamp() -> datetime:
-    """Return the time that ``SOURCE_DATE_EPOCH`` sets, else the first of 1980, so that equal input makes equal files."""
-    return datetime.fromtimestamp(int(os.environ.get("SOURCE_DATE_EPOCH") or 315532800), UTC)
+    """Return the time that ``SOURCE_DATE_EPOCH`` sets, so that equal input makes equal files, else the present one.
+
+    Raises
+    ------
+    InputError
+        If the variable holds no time.
+
+    """
+    given = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if not given:
+        return datetime.now(UTC)
+    try:
+        if not re.fullmatch("[0-9]+", given):
+            raise ValueError
+        return datetime.fromtimestamp(int(given), UTC)
+    except (ValueError, OverflowError, OSError):
+        raise InputError("environment", [f'SOURCE_DATE_EPOCH = "{plain(given)}", must be whole seconds since 1970']) from None
+
+
+def plain(text: str) -> str:
+    """Return a text without what XML cannot hold, control characters above all."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]", "", text)
 
 
 def model_description(
-    step: Step, table: Sequence[Variable], cycle: CycleTable | None, step_size: float, fmi: Version, token: str, source: str
+    step: Step,
+    name: str,
+    table: Sequence[Variable],
+    cycle: CycleTable | None,
+    step_size: float,
+    stop_time: float | None,
+    fmi: Version,
+    c: Sources,
+    time: datetime,
 ) -> bytes:
-    """Return the text of modelDescription.xml; `source` is the C file to compile."""
+    """Return the text of modelDescription.xml."""
     attributes = {
         "fmiVersion": f"{fmi}.0",
-        "modelName": f"{step.name}.{cycle.name}" if cycle else step.name,
+        "modelName": name,
         "description": f"{step.title}, driven over {cycle.name}" if cycle else step.title,
-        {2: "guid", 3: "instantiationToken"}[fmi]: token,
+        {2: "guid", 3: "instantiationToken"}[fmi]: c.token,
         "generationTool": f"halfshaft {version('halfshaft')}",
-        "generationDateAndTime": timestamp().strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "generationDateAndTime": time.strftime("%Y-%m-%dT%H:%M:%SZ"),
         "variableNamingConvention": "structured",
     }
     root = ET.Element("fmiModelDescription", attributes)
-    interface = ET.SubElement(root, "CoSimulation", _capabilities(step, cycle, step_size, fmi))
+    interface = ET.SubElement(root, "CoSimulation", _capabilities(name, cycle, step_size, fmi))
     if fmi == 2:
-        ET.SubElement(ET.SubElement(interface, "SourceFiles"), "File", name=source)
+        ET.SubElement(ET.SubElement(interface, "SourceFiles"), "File", name=c.main)
     units = ET.SubElement(root, "UnitDefinitions")
     for unit in sorted({v.unit for v in table}):
         _unit(units, unit)
     category = {"name": "logStatusError", "description": "what went wrong and why"}
     ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", category)
-    stop = step_size * (len(cycle.v_request) if cycle else 1)
-    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(float(stop)), stepSize=repr(float(step_size)))
+    ET.SubElement(root, "DefaultExperiment", _experiment(step_size, step_size * len(cycle.v_request) if cycle else stop_time))
     listed = ET.SubElement(root, "ModelVariables")
     for reference, v in enumerate(table):
         _variable(listed, v, reference, fmi)
-    _structure(ET.SubElement(root, "ModelStructure"), table, fmi)
+    _structure(ET.SubElement(root, "ModelStructure"), step, table, fmi)
     return _text(root)
 
 
-def build_description(step: Step, source: str) -> bytes:
+def build_description(name: str, source: str) -> bytes:
     """Return the text of buildDescription.xml, which FMI 3.0 has."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=step.name)
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=identifier(name))
     file_set = ET.SubElement(configuration, "SourceFileSet", language="C99")
     ET.SubElement(file_set, "SourceFile", name=source)
     ET.SubElement(configuration, "Library", name="m", external="true", description="mathematics of the C library")
     return _text(root)
 
 
-def _capabilities(step: Step, cycle: CycleTable | None, step_size: float, fmi: Version) -> dict[str, str]:
+def _experiment(step_size: float, stop_time: float | None) -> dict[str, str]:
+    if stop_time is None:
+        return {"startTime": "0", "stepSize": repr(float(step_size))}
+    # A step as long as the whole is no step size to a strict reader.
+    step = {"stepSize": repr(float(step_size))} if step_size < stop_time else {}
+    return {"startTime": "0", "stopTime": repr(float(stop_time)), **step}
+
+
+def _capabilities(name: str, cycle: CycleTable | None, step_size: float, fmi: Version) -> dict[str, str]:
     common = {
-        "modelIdentifier": step.name,
+        "modelIdentifier": identifier(name),
         "needsExecutionTool": "false",
         "canBeInstantiatedOnlyOncePerProcess": "false",
         "canHandleVariableCommunicationStepSize": "true",
@@ -89,7 +126,7 @@ def _capabilities(step: Step, cycle: CycleTable | None, step_size: float, fmi: V
     return common | {
         "canGetAndSetFMUState": "true",
         "canSerializeFMUState": "true",
-        "fixedInternalStepSize": repr(float(step_size)),
+        **({"fixedInternalStepSize": repr(float(step_size))} if cycle else {}),
         "providesIntermediateUpdate": "false",
         "hasEventMode": "false",
     }
@@ -142,18 +179,28 @@ def _variable(parent: ET.Element, v: Variable, reference: int, fmi: Version) -> 
         ET.SubElement(parent, "Float64", general | number)
 
 
-def _structure(parent: ET.Element, table: Sequence[Variable], fmi: Version) -> None:
-    outputs = [reference for reference, v in enumerate(table) if v.causality == "output"]
-    if fmi == 2:
-        for element in (ET.SubElement(parent, "Outputs"), ET.SubElement(parent, "InitialUnknowns")):
-            for reference in outputs:
-                ET.SubElement(element, "Unknown", index=str(reference + 1))
-    else:
-        for kind in ("Output", "InitialUnknown"):
-            for reference in outputs:
-                ET.SubElement(parent, kind, valueReference=str(reference))
+def _structure(structure: ET.Element, step: Step, table: Sequence[Variable], fmi: Version) -> None:
+    """Say what outputs depend on.
+
+    At a communication point they are what the last internal step left, whatever the inputs are now.  During the
+    initialization those that show a state depend on the parameters that its start value is computed from.
+    """
+    first = 1 if fmi == 2 else 0
+    parameters = [first + reference for reference, v in enumerate(table) if v.causality == "parameter" and v.name != "step_size"]
+    sources: dict[int | None, list[int]] = {}
+    for state, column in zip(*step.start.jac_sparsity(0, 0).get_triplet(), strict=True):
+        sources.setdefault(state, []).append(parameters[column])
+    initial = {str(first + reference): sources.get(v.state, []) for reference, v in enumerate(table) if v.causality == "output"}
+    for kind in ("Output", "InitialUnknown"):
+        parent = ET.SubElement(structure, f"{kind}s") if fmi == 2 else structure
+        for number, known in initial.items():
+            which = {"index" if fmi == 2 else "valueReference": number}
+            dependencies = " ".join(map(str, sorted(known))) if kind == "InitialUnknown" else ""
+            ET.SubElement(parent, "Unknown" if fmi == 2 else kind, which, dependencies=dependencies)
 
 
 def _text(root: ET.Element) -> bytes:
+    for element in root.iter():
+        element.attrib.update({name: plain(text) for name, text in element.attrib.items()})
     ET.indent(root)
     return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"

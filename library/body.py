@@ -23,7 +23,7 @@ import casadi as ca
 
 from halfshaft.library.component import Assumed, Component, State, Variable, face, plant
 from halfshaft.library.expressions import Turning, where
-from halfshaft.library.parameters import Parameters, param
+from halfshaft.library.parameters import Parameters, Relation, param
 from halfshaft.library.ports import Expr, Port, Tyre
 
 #: A body never brakes harder than this [m/s^2]; keeps the quadratic real.
@@ -60,11 +60,8 @@ class BodyParameters(Parameters):
     )
     v_start: float = param("m/s", "speed at the start", 0.0, ge=0, le=1e3)
 
-    def check(self) -> list[str]:
-        """Return what is wrong between parameters; a body this tall would tip over its wheels before they slip."""
-        known = isinstance(self.h, int | float) and isinstance(self.wheelbase, int | float)
-        high = known and self.h >= self.wheelbase / 2
-        return [f"h = {self.h:g} m must be below half of wheelbase = {self.wheelbase:g} m"] if high else []
+    # A body this tall would tip over its wheels before they slip.
+    relations = (Relation(lambda p: p.h >= p.wheelbase / 2, "h = {h:g} m must be below half of wheelbase = {wheelbase:g} m"),)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,12 @@ Each message says what is wrong, where, and what is allowed; where several thing
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+#: Likeness from which a name may have been meant.
+CLOSE = 0.6
 
 #: A message about one thing is cut to so many characters.
 LONGEST = 1000
@@ -55,9 +60,44 @@ def _printable(text: str) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return ``, did you mean 'x'?`` for the known name nearest to `name`, or nothing."""
+    """Return ``, did you mean 'x'?`` for the known name nearest to `name`, or nothing.
+
+    Behind a dot only what belongs to the same owner is near.  Letters count, those of a longer name's first word too, and
+    where `known` says what its names mean (by `doc`), so do the words of the meaning: ``body.mass`` is ``body.m``.
+    """
     # A name that is longer than any is not compared: the search takes time with the square of its length.
     if len(name) > 100:
         return ""
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f", did you mean '{close[0]}'?" if close else ""
+    names = list(known)
+    owner, dot, own = name.rpartition(".")
+    owners = {n.rpartition(".")[0] for n in names}
+    if dot and owner not in owners:
+        close = difflib.get_close_matches(owner, owners, n=1)
+        owner = close[0] if close else ""
+    meanings = {n: _words(_meaning(known[n])) for n in names} if isinstance(known, Mapping) else {}
+    best, found = CLOSE, ""
+    for n in names:
+        theirs, _, leaf = n.rpartition(".")
+        if owner and theirs != owner:
+            continue
+        # A first word that is right, or nearly, says less than a whole name.
+        score = max(_likeness(own, leaf), 0.95 * _likeness(own, leaf.partition("_")[0]))
+        if _words(own) & meanings.get(n, set()):
+            score = max(score, 0.85)
+        if score > best:
+            best, found = score, n
+    return f", did you mean '{found}'?" if found else ""
+
+
+def _likeness(a: str, b: str) -> float:
+    return difflib.SequenceMatcher(None, a.lower(), b.lower()).ratio()
+
+
+def _words(text: str) -> set[str]:
+    return {word for word in re.split(r"[\W_]+", text.lower()) if len(word) > 2}
+
+
+def _meaning(value: Any) -> str:
+    """Return what something declared means: an output or a number by its `doc`, a field by that of its declaration."""
+    spec = getattr(value, "metadata", {}).get("spec", value)
+    return str(getattr(spec, "doc", ""))

@@ -12,7 +12,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -188,7 +188,7 @@ class Reader:
         """Report what is missing."""
         self.problems.extend(f"{where}{name} is missing" for name in names if name not in data)
 
-    def keys(self, data: Mapping[str, Any], known: Collection[str], where: str) -> None:
+    def keys(self, data: Iterable[str], known: Collection[str], where: str) -> None:
         """Report what is unknown."""
         self._report([f"{where}{key} is not known{nearest(key, known)}" for key in data if key not in known], NAMED_KEYS)
 

@@ -9,9 +9,12 @@ are checked for numbers only.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
 
 from halfshaft.library.errors import InputError
 from halfshaft.library.notebook import Grid, card
@@ -40,6 +43,18 @@ class Spec(NamedTuple):
         pairs = ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
         return " and ".join(f"{sign} {self.shown(bound)}" for sign, bound in pairs if bound is not None)
 
+    @property
+    def lowest(self) -> float | None:
+        """The least number inside the bounds; above 0 the least normal one, as not every tool reads smaller ones."""
+        if self.gt is None:
+            return self.ge
+        return math.nextafter(self.gt, math.inf) if self.gt else sys.float_info.min
+
+    @property
+    def highest(self) -> float | None:
+        """The greatest number inside the bounds."""
+        return self.le if self.lt is None else math.nextafter(self.lt, -math.inf)
+
     def holds(self, value: float) -> bool:
         """Return whether a number lies inside the bounds; NaN and infinity never do."""
         return (
@@ -66,6 +81,17 @@ def table(unit: str, doc: str, *axes: Axis, clip: bool, default: Any = MISSING, 
     return field(default=default, metadata={"spec": Spec(unit, doc, axes=axes, clip=clip, **bounds)})
 
 
+class Relation(NamedTuple):
+    """What must not be between several parameters of a set.
+
+    ``broken`` takes the set, with numbers or with symbols, so that the C of an FMU asks the same; ``message`` says what is
+    wrong and has the values, each as ``{name:g}``.
+    """
+
+    broken: Callable[[Any], Any]
+    message: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
     """Base of all parameter sets.
@@ -76,6 +102,8 @@ class Parameters:
         If numbers lie outside their bounds; all of them are named at once.
 
     """
+
+    relations: ClassVar[tuple[Relation, ...]] = ()
 
     def __post_init__(self) -> None:
         """Check the bounds of all numbers."""
@@ -97,8 +125,8 @@ class Parameters:
             raise InputError(type(self).__name__, problems)
 
     def check(self) -> list[str]:
-        """Return what is wrong between several parameters; for subclasses."""
-        return []
+        """Return which relations are broken; symbols break none."""
+        return [r.message.format_map(vars(self)) for r in self.relations if isinstance(wrong := r.broken(self), bool | np.bool) and wrong]
 
     def _repr_html_(self) -> str:
         return card(type(self).__name__, "", {}, Grid(DESCRIBED, described(type(self), vars(self))))

@@ -27,12 +27,12 @@ from halfshaft.library.engine import Engine, EngineParameters
 from halfshaft.library.errors import InputError
 from halfshaft.library.expressions import clip, where
 from halfshaft.library.generator import Generator, GeneratorParameters
-from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.parameters import Parameters, Relation, param, table
 from halfshaft.library.ports import Expr
 from halfshaft.library.tables import Axis, Table
 
-#: Speeds that a genset's locus chooses from, at most, and the least efficiency that it reckons with.
-MOST_SPEEDS, LOWEST_EFFICIENCY = 20_000, 1e-3
+#: Of a genset's locus: speeds to choose from and power, at most, and the least efficiency that it reckons with [1, W, 1].
+MOST_SPEEDS, MOST_POWER, LOWEST_EFFICIENCY = 20_000, 1e12, 1e-3
 #: One-second parts of the five-second average.
 PARTS = 5
 
@@ -53,10 +53,7 @@ class SeriesControlParameters(Parameters):
     charge_depleting: float = param("1", "1 to start the engine only in the lower half of the window", 0.0, ge=0, le=1)
     omega_locus: Table = table("rad/s", "genset speed of least fuel, for engine scales of 1", Axis("P", "W"), clip=True, ge=0)
 
-    def check(self) -> list[str]:
-        """Return what is wrong between parameters."""
-        both = isinstance(self.soc_low, int | float) and isinstance(self.soc_high, int | float)
-        return [f"soc_low = {self.soc_low:g} must be below soc_high = {self.soc_high:g}"] if both and self.soc_low >= self.soc_high else []
+    relations = (Relation(lambda p: p.soc_low >= p.soc_high, "soc_low = {soc_low:g} must be below soc_high = {soc_high:g}"),)
 
 
 @dataclass(frozen=True)
@@ -162,6 +159,7 @@ class SeriesControl(Component):
         }
 
 
+@np.errstate(all="ignore")
 def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: int = 11) -> Table:
     """Return the genset speed of least fuel over engine power, for engine scales of 1.
 
@@ -182,7 +180,7 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
     turning, driving = omega_engine > 0, tau_engine > 0
     omega_engine, tau_engine, fuel = omega_engine[turning], tau_engine[driving], engine.fuel.values[turning][:, driving]
     power = engine.tau_max.points[0] * engine.tau_max.values
-    if not len(omega_engine) or not len(tau_engine) or power.max() <= omega_engine[0] * tau_engine[0]:
+    if not len(omega_engine) or not len(tau_engine) or not omega_engine[0] * tau_engine[0] < power.max() < MOST_POWER:
         raise InputError("genset_locus", ["the engine's maps hold no range of power"])
     low, high = max(omega_engine[0], omega_generator[0]), min(omega_engine[-1], omega_generator[-1])
     speeds = np.arange(np.ceil(low), np.floor(min(high, low + MOST_SPEEDS)) + 1)

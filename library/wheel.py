@@ -26,7 +26,7 @@ from halfshaft.library.body import BodyParameters
 from halfshaft.library.component import Assumed, Component, State, Variable, face, plant
 from halfshaft.library.expressions import Turning, clip, where
 from halfshaft.library.links import Link, deliver, drag, inertia
-from halfshaft.library.parameters import Parameters, param, table
+from halfshaft.library.parameters import Parameters, Relation, param, table
 from halfshaft.library.ports import Expr, Port, Shaft, Tyre
 from halfshaft.library.tables import Axis, Table
 
@@ -51,12 +51,12 @@ class WheelParameters(Parameters):
     share_driveline: Table = table("1", "share of a braking force that the driveline takes", SPEED, clip=True, ge=0, le=1)
     share_front: Table = table("1", "share of a braking force that the front friction brakes take", SPEED, clip=True, ge=0, le=1)
 
-    def check(self) -> list[str]:
-        """Return what is wrong between parameters."""
-        driven = [x for x in (self.front_driven, self.rear_driven) if isinstance(x, int | float)]
-        return (
-            ["front_driven and rear_driven are both 0, at least one axle must be driven"] if sum(driven) == 0 and len(driven) == 2 else []
-        )
+    relations = (
+        Relation(
+            lambda p: p.front_driven + p.rear_driven == 0,
+            "front_driven and rear_driven are both 0, at least one axle must be driven",
+        ),
+    )
 
 
 class Grip(NamedTuple):

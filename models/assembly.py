@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from halfshaft.library.component import Component
-from halfshaft.library.parameters import bind, numbers, tables
+from halfshaft.library.parameters import Relation, bind, numbers, tables
 from halfshaft.library.ports import MEANINGS, SHOWN, UNITS
 from halfshaft.library.tables import BoundTable, Table, interpolants
 from halfshaft.models.model import Model
@@ -38,12 +38,13 @@ class Description(NamedTuple):
     highest: float | None = None
     booking: str = ""
     state: int | None = None
+    allowed: str = ""
 
 
 REQUESTED = (
     Description("v_request", "m/s", "requested speed at the end of the step"),
     Description("grade", "1", "slope of the road, rise over run"),
-    Description("key_on", "1", "whether the key is on", "flag", 1.0),
+    Description("key_on", "1", "whether the key is on", "flag", 1.0, 0.0, 1.0, allowed=">= 0 and <= 1"),
     Description("dt", "s", "length of the step", "real", 1.0),
     Description("decided", "1", "whether the controls keep the decisions that stand in the state", "flag", 0.0),
 )
@@ -74,6 +75,9 @@ class Symbols:
     parts: Mapping[str, Component]
     parameters: ca.SX
     descriptions: tuple[Description, ...]
+    #: Whether each relation between parameters is broken, and what the relations say, by part.
+    broken: ca.SX
+    relations: tuple[tuple[str, Relation], ...]
 
 
 def table_name(model: Model, part: str, field: str) -> str:
@@ -94,12 +98,13 @@ def symbolic(model: Model, functions: Mapping[str, ca.Function]) -> Symbols:
         for field, spec, value in numbers(part.p):
             own[field] = ca.SX.sym(f"{name}.{field}")
             symbols.append(own[field])
-            lowest = spec.ge if spec.ge is not None else spec.gt
-            highest = spec.le if spec.le is not None else spec.lt
-            described.append(Description(f"{name}.{field}", spec.unit, spec.doc, "real", value, lowest, highest))
+            bounds = (spec.lowest, spec.highest)
+            described.append(Description(f"{name}.{field}", spec.unit, spec.doc, "real", value, *bounds, allowed=spec.allowed()))
         maps = {field: BoundTable(functions[table_name(model, name, field)], t) for field, t in tables(part.p)}
         parts[name] = replace(part, p=bind(part.p, own, maps))
-    return Symbols(parts, ca.vertcat(*symbols), tuple(described))
+    relations = tuple((name, relation) for name, part in parts.items() for relation in part.p.relations)
+    broken = ca.vertcat(ca.SX(0, 1), *(relation.broken(parts[name].p) for name, relation in relations))
+    return Symbols(parts, ca.vertcat(*symbols), tuple(described), broken, relations)
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,9 @@ class Step:
     tables: Mapping[str, Table]
     #: Positions of the states that hold decisions of the controls.
     decisions: tuple[int, ...]
+    #: Whether each of the relations, given with its part, is broken by a parameter vector.
+    broken: ca.Function
+    relations: tuple[tuple[str, Relation], ...]
 
     @cached_property
     def output_index(self) -> dict[str, int]:
@@ -208,4 +216,6 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
         tuple(o[0] for o in outputs),
         named,
         tuple(i for i, s in enumerate(s for part in symbols.parts.values() for s in part.states) if s.decision),
+        ca.Function(f"{model.name}_broken", [symbols.parameters], [symbols.broken], ["parameters"], ["broken"]),
+        symbols.relations,
     )  # fmt: skip

@@ -265,7 +265,13 @@ def _specs(parts: Parts) -> dict[str, Spec]:
 def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str, *, plain: bool = False) -> dict[str, float]:
     """Return numbers by ``role.parameter`` in SI."""
     specs = _specs(parts)
-    reader.keys(values, specs, where)
+    maps = {f"{role}.{f.name}" for role, part in parts.items() for f in fields(part.component.parameters) if spec_of(f).axes}
+    for name in (n for n in values if n in maps):
+        role = name.partition(".")[0]
+        factors = " or ".join(n for n in specs if n.startswith(f"{role}.") and n.endswith("_scale"))
+        instead = f"stretch it by {factors}, or replace the {role}" if factors else f"replace the {role}"
+        reader.problems.append(f"{where}{name} is a map, not a number: {instead}")
+    reader.keys([n for n in values if n not in maps], specs, where)
     return {name: reader.number(x, specs[name], where + name, plain=plain) for name, x in values.items() if name in specs}
 
 

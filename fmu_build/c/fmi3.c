@@ -2,6 +2,12 @@
    not supported. */
 
 #include "fmi3Functions.h"
+
+typedef fmi3Status Status;
+typedef fmi3LogMessageCallback Logger;
+#define OK fmi3OK
+#define ERROR fmi3Error
+
 #include "core.h"
 
 #if defined(__GNUC__) /* the standard decides on the parameters */
@@ -9,59 +15,59 @@
 #endif
 
 static void emit(const Instance *c, const char *text) {
-  ((fmi3LogMessageCallback)c->logger)(c->environment, fmi3Error, "logStatusError", text);
+  c->logger(c->environment, ERROR, "logStatusError", text);
 }
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-  return set_reporting(c, on, n, categories);
+  return set_reporting((Instance *)c, on, n, categories);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
                                          fmi3Boolean event_mode, fmi3Boolean early_return, const fmi3ValueReference intermediate[],
                                          size_t n_intermediate, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback update) {
-  return create(name, token, environment, (void (*)(void))log, event_mode ? "event mode is not supported" : NULL);
+  return create(name, token, environment, log, logging, event_mode ? "event mode is not supported" : NULL);
 }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
                                           fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {
-  return create(name, token, environment, (void (*)(void))log, "model exchange is not supported");
+  return create(name, token, environment, log, logging, "model exchange is not supported");
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                                fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                                fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock,
                                                fmi3UnlockPreemptionCallback unlock) {
-  return create(name, token, environment, (void (*)(void))log, "scheduled execution is not supported");
+  return create(name, token, environment, log, logging, "scheduled execution is not supported");
 }
 
-void fmi3FreeInstance(fmi3Instance c) { destroy(c); }
+void fmi3FreeInstance(fmi3Instance c) { destroy((Instance *)c); }
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance, fmi3Float64 start_time,
                                        fmi3Boolean has_stop_time, fmi3Float64 stop_time) {
-  int status = set_start_time(c, start_time, "fmi3EnterInitializationMode");
-  return status == OK ? enter_initialization(c, "fmi3EnterInitializationMode") : status;
+  Status status = set_times((Instance *)c, start_time, has_stop_time, stop_time, "fmi3EnterInitializationMode");
+  return status == OK ? enter_initialization((Instance *)c, "fmi3EnterInitializationMode") : status;
 }
 
-fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return exit_initialization(c, "fmi3ExitInitializationMode"); }
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return exit_initialization((Instance *)c, "fmi3ExitInitializationMode"); }
 
-fmi3Status fmi3Terminate(fmi3Instance c) { return terminate(c, "fmi3Terminate"); }
+fmi3Status fmi3Terminate(fmi3Instance c) { return terminate((Instance *)c, "fmi3Terminate"); }
 
-fmi3Status fmi3Reset(fmi3Instance c) { return reset(c); }
+fmi3Status fmi3Reset(fmi3Instance c) { return reset((Instance *)c); }
 
 /* Variables */
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[], size_t n_value) {
-  if (n == n_value) return get(c, vr, n, value);
-  report(c, "fmi3GetFloat64: all variables are scalars");
+  if (n == n_value) return get((Instance *)c, vr, n, value);
+  report((Instance *)c, "fmi3GetFloat64: all variables are scalars");
   return ERROR;
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[], size_t n_value) {
-  if (n == n_value) return set(c, vr, n, value);
-  report(c, "fmi3SetFloat64: all variables are scalars");
+  if (n == n_value) return set((Instance *)c, vr, n, value);
+  report((Instance *)c, "fmi3SetFloat64: all variables are scalars");
   return ERROR;
 }
 
@@ -127,25 +133,25 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[
 
 /* State */
 
-fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) { return save(c, state); }
+fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) { return save((Instance *)c, state); }
 
-fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) { return restore(c, state); }
+fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) { return restore((Instance *)c, state); }
 
-fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) { return forget(c, state); }
+fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) { return forget((Instance *)c, state); }
 
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size) { return serialized_size(c, state, size); }
+fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size) { return serialized_size((Instance *)c, state, size); }
 
-fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) { return serialize(c, state, bytes, size); }
+fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) { return serialize((Instance *)c, state, bytes, size); }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state) {
-  return deserialize(c, bytes, size, state);
+  return deserialize((Instance *)c, bytes, size, state);
 }
 
 /* Steps */
 
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean no_rollback, fmi3Boolean *event, fmi3Boolean *terminate_simulation,
                       fmi3Boolean *early_return, fmi3Float64 *last_time) {
-  int status = do_step(c, t, h, "fmi3DoStep");
+  Status status = do_step((Instance *)c, t, h, "fmi3DoStep");
   if (event) *event = fmi3False;
   if (terminate_simulation) *terminate_simulation = fmi3False;
   if (early_return) *early_return = fmi3False;

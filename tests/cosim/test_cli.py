@@ -63,7 +63,16 @@ def test_json_holds_the_summary_and_the_account(car):
 
 def test_a_run_is_shown_as_a_table():
     text = done("run", "small-car-series", "--cycle", "us06")
-    for expected in ("12.887 km", "L/100 km", "kWh", "0.7000 -> ", "engine", "method's error: speed mismatch", "balance", "battery limit"):
+    for expected in (
+        "12.887 km",
+        "L/100 km",
+        "kWh",
+        "0.7000 -> ",
+        "engine",
+        "speed mismatch: slower than asked",
+        "balance",
+        "battery limit",
+    ):
         assert expected in text
 
 
@@ -205,7 +214,8 @@ def test_without_a_compiler_there_is_no_fmu(tmp_path):
 
 def test_acceleration():
     found = json.loads(done("accelerate", "small-car-electric", "--json"))
-    assert found.keys() == {"time_s"}
+    assert found.keys() == {"time_s", "mode", "hybrid_s", "refined_s"}
+    assert found["mode"] == "refined"
     heavier = json.loads(done("accelerate", "small-car-electric", "--mass", "1600", "--json"))
     assert heavier["time_s"] > found["time_s"] > 3
     assert "0 to 100 km/h" in done("accelerate", "small-car-electric")
@@ -213,14 +223,16 @@ def test_acceleration():
 
 def test_acceleration_compared():
     found = json.loads(done("accelerate", "small-car-electric", "--compare", "--json"))
-    assert found.keys() == {"time_s", "iteration_s", "refined_s", "forward_s"}
+    assert found.keys() == {"time_s", "mode", "hybrid_s", "iteration_s", "refined_s", "forward_s"}
     assert found["refined_s"] == pytest.approx(found["iteration_s"], rel=1e-3)
     assert found["forward_s"] == pytest.approx(found["iteration_s"], rel=0.02)
 
 
 def test_a_speed_that_is_never_reached_is_null():
-    assert json.loads(done("accelerate", "small-car-electric", "--to", "300", "--json")) == {"time_s": None}
-    assert "not reached" in done("accelerate", "small-car-electric", "--to", "300")
+    assert json.loads(done("accelerate", "small-car-electric", "--to", "300", "--json"))["time_s"] is None
+    text = done("accelerate", "small-car-electric", "--to", "300")
+    assert "not reached" in text
+    assert "highest speed 158.0 km/h" in text
 
 
 @pytest.mark.parametrize("fmi", ["2", "3"])
@@ -322,3 +334,86 @@ def test_public_names():
 def test_importing_the_package_is_cheap():
     code = "import sys, halfshaft; sys.exit('casadi' in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_map_cannot_be_set_to_a_number():
+    text = refused(*RUN, "--set", "motor.tau_max=200")
+    assert "motor.tau_max is a map, not a number: stretch it by motor.speed_scale or motor.torque_scale" in text
+    assert "or replace the motor" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((*RUN, "--via", "air"), "Invalid value for '--via': 'air' is not one of 'step', 'fmu2', 'fmu3', 'forward'."),
+        ((*RUN, "--dt", "x"), "Invalid value for '--dt': must be a number"),
+        (("list", "wheels"), "'wheels' is not one of"),
+    ],
+)
+def test_no_library_speaks_in_our_messages(arguments, message):
+    text = call(*arguments).stderr
+    assert message in text
+    assert "Value error" not in text
+    assert "Input should" not in text
+
+
+@pytest.mark.parametrize("command", ["run", "accelerate", "fmu", "reproduce", "bench", "list", "show"])
+def test_help_fits_a_terminal_of_80_columns(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert max(map(len, done(command, "--help").splitlines())) <= 80
+
+
+def test_a_run_fits_a_terminal_of_80_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = done("run", "small-car-series", "--cycle", "us06")
+    lines = [line for line in text.splitlines() if not line.startswith("  ! ")]
+    assert max(map(len, lines)) <= 80
+    assert "…" not in text
+
+
+def test_an_unbalanced_economy_has_its_correction_beside_it():
+    text = done("run", "small-car-series", "--cycle", "hwfet")
+    for expected in ("economy, fuel alone", "1.142 L/100 km", "with battery as fuel", "5.676 L/100 km", "genset, own mean", "31.4 %"):
+        assert expected in text
+    assert "genset, nominal" in done("run", "small-car-series", "--cycle", "udds")
+
+
+def test_units_of_the_us():
+    text = done(*RUN, "--units", "us")
+    for expected in ("8.007 mi", "338.0 Wh/mi", "99.7 MPGe", "range on it", "23 mi", "mph", "137.1 kW"):
+        assert expected in text
+    assert "km" not in text
+    assert "mpg" in done("run", "small-car-conventional", "--cycle", "us06", "--units", "us")
+    # What a program reads stays as it is.
+    assert done(*RUN, "--units", "us", "--json") == done(*RUN, "--json")
+    assert "from 0 to 60 mph" in done("accelerate", "small-car-electric", "--units", "us")
+    assert "--to 250 mph, must be > 0 and < 200 mph" in refused("accelerate", "small-car-electric", "--units", "us", "--to", "250")
+
+
+def test_efficiencies_stand_in_the_energy_table():
+    text = done(*RUN)
+    assert "eff. %" in text
+    (motor,) = [line.split() for line in text.splitlines() if line.split()[:1] == ["motor"] and len(line.split()) == 5]
+    received, delivered, _, efficiency = map(float, motor[1:])
+    assert efficiency == pytest.approx(100 * delivered / received, abs=0.06)
+
+
+def test_the_hybrid_time_stands_beside_the_refined_one():
+    lines = [line.split() for line in done("accelerate", "small-car-electric").splitlines()]
+    assert ["refined", "10.416"] in lines
+    assert ["hybrid", "11.259"] in lines
+    assert ["refined", "10.416"] not in [x.split() for x in done("accelerate", "small-car-electric", "--mode", "iteration").splitlines()]
+
+
+def test_without_a_compiler_the_header_says_so():
+    result = without_compiler("run", "small-car-electric", "--cycle", "im240")
+    assert "interpreted step" in result.stdout
+    assert "compiled step" not in result.stdout
+
+
+def test_a_shell_can_complete_names():
+    env = {**os.environ, "_HALFSHAFT_COMPLETE": "complete_bash", "COMP_WORDS": "halfshaft run small-car-e", "COMP_CWORD": "2"}
+    command = [sys.executable, "-c", "from halfshaft.cosim.cli import app; app(prog_name='halfshaft')"]
+    result = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    assert result.stdout.split() == ["small-car-electric"]
+    assert "--install-completion" in done("--help")

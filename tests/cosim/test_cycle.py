@@ -1,8 +1,13 @@
+import os
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle, cycle_names
+from halfshaft.cosim.simulate import run
 from halfshaft.library.errors import InputError
+from halfshaft.models.vehicle import Vehicle
 
 
 def write(folder, text, name="c.csv"):
@@ -191,3 +196,211 @@ def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(InputError) as e:
         Cycle(name="c", time=np.array([0.0, 0.0]), speed=np.array([-1.0]))
     assert e.value.problems == ("speed has 1 points, time has 2", "time must rise", "speed = -1, must be >= 0 and <= 1000 m/s")
+
+
+ROAD = np.array([0.0, 500.0, 1000.0]), np.array([0.0, 0.05, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("distance", "grade"),
+    [
+        (np.arange(6.0)[::2] * 250, np.array([0.0, 9, 0.05, 9, 0, 9])[::2]),
+        ([0, 500, 1000], [0, np.float32(0.05), 0.0]),
+        (np.array([0, 500, 1000]), [0.0, 0.05, 0.0]),
+        (np.array([0, 500, 1000], dtype=np.float32), np.array([0, 0.05, 0])),
+        (np.array([[0.0, 0.0], [500.0, 0.05], [1000.0, 0.0]])[:, 0], np.array([[0.0, 0.0], [500.0, 0.05], [1000.0, 0.0]])[:, 1]),
+    ],
+)
+def test_rows_of_any_kind_of_number_run_as_floats_do(distance, grade):
+    cycle = Cycle.load("hwfet")
+    car = Vehicle.load("small-car-electric")
+    one = run(car, replace(cycle, grade_by_distance=ROAD), history=False)
+    other = run(car, replace(cycle, grade_by_distance=(distance, grade), time=list(range(766)), speed=cycle.speed.tolist()), history=False)
+    assert other.energies["motor.P_in"] == pytest.approx(one.energies["motor.P_in"], rel=1e-7)
+    assert other.last["body.distance"] == pytest.approx(one.last["body.distance"])
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ({"grade_by_distance": (np.arange(3.0), np.zeros(2))}, "grade_by_distance: grade has 2 points, distance has 3"),
+        ({"grade_by_distance": (np.zeros(2), np.zeros(2))}, "grade_by_distance: distance must rise"),
+        ({"grade_by_distance": ([0.0, np.nan], [0.0, 0.0])}, "distance has a point that is not a finite number"),
+        ({"grade_by_distance": ([], [])}, "distance has no points"),
+        ({"grade_by_distance": 3}, "must be a pair of rows"),
+        ({"grade_by_distance": ([0, 1], [0, 5])}, "grade = 5, must be >= -1 and <= 1 (rise over run: 5 % is 0.05"),
+        ({"speed": "fast"}, "speed must be a row of numbers"),
+        ({"speed": [[0.0], [1.0]]}, "speed must be one row of numbers"),
+        ({"speed": [0, [1]]}, "speed must be a row of numbers"),
+        ({"speed": [0, 10**400]}, "speed must be a row of numbers"),
+        ({"speed": [0, 1e300]}, "speed = 1e+300, must be >= 0 and <= 1000 m/s"),
+        ({"time": [0, float("inf")]}, "time has a point that is not a finite number"),
+        ({"time": [0, 1e11]}, "lasts 1e+11 s, must be at most 1e+09 s"),
+        ({"time": [0, 5e-324]}, "time must rise"),
+        ({"key_on": [0, 7]}, "key_on = 7, must be >= 0 and <= 1"),
+        ({"name": "a\x1b[31m"}, "name = "),
+    ],
+)
+def test_rows_that_no_cycle_has_are_refused(rows, message):
+    with pytest.raises(InputError) as e:
+        Cycle(**{"name": "c", "time": [0, 1], "speed": [0, 1], **rows})
+    assert any(message in problem for problem in e.value.problems)
+    assert all(problem.isprintable() for problem in e.value.problems)
+
+
+def test_a_cycle_keeps_rows_of_its_own():
+    speed = np.array([0.0, 1.0])
+    cycle = Cycle(name="c", time=[0, 1], speed=speed)
+    speed[:] = -1
+    assert cycle.speed.tolist() == [0, 1]
+    with pytest.raises(ValueError, match="read-only"):
+        cycle.speed[0] = -1
+
+
+def test_too_many_steps_are_refused():
+    with pytest.raises(InputError, match=r"makes 1\.37e\+11 steps"):
+        Cycle.load("udds").sampled(1e-8)
+
+
+def test_texts_of_a_cycle_lose_control_characters(tmp_path):
+    cycle = Cycle.load(write(tmp_path, "# title: a\x1b[31m\u202e b\x85\x07\ntime_s,speed_mps\n0,0\n"))
+    assert cycle.title == "a [31m b"
+    assert problems(write(tmp_path, "# name: a\x1b\ntime_s,speed_mps\n0,0\n"))[0].startswith('name = "a\\x1b", must be letters')
+
+
+def noisy(sigma, dt=0.1):
+    udds = Cycle.load("udds")
+    time = np.arange(0, 1369 + dt / 2, dt)
+    speed = np.interp(time, udds.time, udds.speed) + sigma * np.random.default_rng(0).standard_normal(len(time))
+    return Cycle(name="noisy", time=time, speed=np.maximum(speed, 0))
+
+
+@pytest.mark.parametrize("dt", [0.7, 1.0, 2.0, 7.0])
+def test_steps_longer_than_the_points_are_apart_keep_the_distance(dt):
+    cycle = noisy(0.3)
+    s = cycle.sampled(dt)
+    v = np.append(s.v_start, s.v)
+    assert np.sum((v[1:] + v[:-1]) / 2 * s.dt) == pytest.approx(cycle.statistics().distance, rel=1e-12)
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.5, 0.1])
+@pytest.mark.parametrize("name", cycle_names())
+def test_steps_not_longer_than_that_ask_for_the_points_themselves(name, dt):
+    cycle = Cycle.load(name)
+    s = cycle.sampled(dt)
+    assert s.v.tolist() == np.interp(s.t, cycle.time, cycle.speed).tolist()
+    assert s.v_start == cycle.speed[0]
+
+
+def test_noise_is_told_and_smoothed():
+    car = Vehicle.load("small-car-electric")
+    noise, clean = noisy(0.3), run(car, Cycle.load("udds")).energies["motor.P_in"]
+    assert [text[:16] for text in noise.doubts] == ["the trace asks f", "the trace stops ", "the trace accele"]
+    assert f"for up to {noise.statistics().a_max:.3g}" in noise.doubts[0]
+    assert f"stops {noise.statistics().stops} times, every 2.1 s" in noise.doubts[1]
+    assert noise.doubts[2].endswith("(smooth it: --smooth 2 or Cycle.smoothed(2))")
+    assert run(car, noise, dt=0.1).energies["motor.P_in"] > 2.5 * clean
+    smooth = noise.smoothed(2)
+    assert not smooth.doubts
+    assert smooth.name == "noisy-smoothed-2"
+    assert smooth.statistics().distance == pytest.approx(noise.statistics().distance, rel=1e-4)
+    # Noise cut at rest, where no speed is below zero, leaves 0.1 m/s: some per cent remain.
+    for mended, dt in ((noise, 1.0), (smooth, 1.0), (smooth, 0.1)):
+        assert run(car, mended, dt=dt).energies["motor.P_in"] == pytest.approx(clean, rel=0.05)
+
+
+@pytest.mark.parametrize("name", cycle_names())
+def test_no_cycle_of_the_library_is_doubted(name):
+    assert Cycle.load(name).doubts == ()
+    assert acceleration_cycle().doubts == ()
+
+
+def test_smoothing_keeps_rests_and_straight_lines():
+    cycle = Cycle(name="c", time=np.arange(101) / 2, speed=np.r_[np.zeros(40), np.arange(61) / 10])
+    smooth = cycle.smoothed(4)
+    assert smooth.speed[:37].tolist() == [0] * 37
+    np.testing.assert_allclose(smooth.speed[44:], cycle.speed[44:], rtol=1e-12)
+    for width in (0, -1, float("nan")):
+        with pytest.raises(InputError, match="width of smoothing"):
+            cycle.smoothed(width)
+
+
+SAME = {
+    "fastsim": "cycSecs,cycMps,cycGrade,cycRoadType\n0,0,0,0\n10,10,0.02,0\n",
+    "semicolons": "Time [s];Speed (km/h);Grade [%]\n0;0;0\n10;36,0;2,0\n",
+    "tabs": "t\tv (m/s)\tslope_percent\n0\t0\t0\n10\t10,0\t2\n",
+    "vecto": "<t>,<v>,<grad>\n0,0,0\n10,36,2\n",
+    "logger": '"time (s)","latitude","longitude","GPS speed (Meters/second)","grade"\n0,48.1,"11.5",0,0\n10,x,11.6,10,0.02\n',
+    "excel": "\ufeffsep=;\nelapsed time [min];vehicle_speed_kph;gradient\n0;0;0\n0,16666666666666666;36;0,02\n",
+}
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_files_of_other_tools_are_read(tmp_path, name):
+    cycle = Cycle.load(write(tmp_path, SAME[name]))
+    assert cycle.time.tolist() == pytest.approx([0, 10])
+    assert cycle.speed.tolist() == pytest.approx([0, 10])
+    assert cycle.grade.tolist() == pytest.approx([0, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,speed\n0,0\n", "line 1: column 'speed' does not tell its unit: call it speed_mps or speed_kmh or speed_mph"),
+        ("time,speed_ly\n0,0\n", "line 1: column 'speed_ly' has a unit that is not known, must be one of mps,"),
+        (
+            "time_s,mps,colour\n0,0,0\n",
+            "line 1: column 'colour' is not known; if it is none of time, speed, grade, elevation, key_on, delete it",
+        ),
+        ("time_s,mps\n0,0\n1,5,2,5\n", "line 3 has 4 entries, must have 2; decimal commas need semicolons between the columns"),
+        ("time,mps\n2024-01-01T10:00:00Z,0\n", "line 2: time = '2024-01-01T10:00:00Z', must be a number; write seconds since the start"),
+        (
+            "time,mps,grade\n0,0,5\n",
+            "line 2: grade = 5, must be >= -1 and <= 1 (rise over run: 5 % is 0.05, or 5 in a column grade_percent)",
+        ),
+        ("time,mps\n0,0\n1,-0.6\n", "line 3: mps = -0.6, must be >= 0 and <= 1000 m/s (what is above -0.5 m/s"),
+        ("time,mps,grade,alt\n0,0,0,0\n", "line 1: grade and elevation say the same, delete one of them"),
+        ("time,mps\n0,1_0\n", "line 2: mps = '1_0', must be a number"),
+    ],
+)
+def test_what_cannot_be_read_names_the_cure(tmp_path, text, message):
+    (found,) = [p for p in problems(write(tmp_path, text)) if "missing" not in p]
+    assert found.startswith(message) or found.replace("speed_mps", "mps").startswith(message)
+
+
+def test_small_speeds_below_zero_are_set_to_zero_and_told(tmp_path):
+    cycle = Cycle.load(write(tmp_path, "time_s,speed_mps\n0,-0.1\n1,-0.25\n2,3\n"))
+    assert cycle.speed.tolist() == [0, 0, 3]
+    assert cycle.doubts == ("2 speeds below zero, down to -0.25 m/s, were set to 0",)
+
+
+def test_an_elevation_becomes_a_grade_over_distance(tmp_path):
+    # 20 m/s for 100 s, 5 % up in the first half and down in the second.
+    lines = [f"{t},20,{100 + min(t, 100 - t)}" for t in range(101)]
+    distance, grade = Cycle.load(write(tmp_path, "\n".join(["time_s,speed_mps,elevation_m", *lines]))).grade_by_distance
+    assert distance[-1] == 2000
+    np.testing.assert_allclose(grade[:19], 0.05, atol=1e-12)
+    np.testing.assert_allclose(grade[-19:], -0.05, atol=1e-12)
+    climb = np.sum((grade[1:] + grade[:-1]) / 2 * np.diff(distance))
+    assert climb == pytest.approx(0, abs=1e-9)
+    over = write(tmp_path, "distance [km],elevation [ft]\n0,0\n1,100\n", "g.csv")
+    assert Cycle.load("udds", over).grade_by_distance[1] == pytest.approx(np.full(21, 0.03048))
+
+
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
+    pipe, sparse = tmp_path / "pipe.csv", tmp_path / "sparse.csv"
+    os.mkfifo(pipe)
+    with sparse.open("wb") as file:
+        file.truncate(10**10)
+    assert problems(pipe) == ["is not a regular file"]
+    assert problems(tmp_path) == ["cannot be read: Is a directory"]
+    assert problems(sparse) == ["has more than 500 MB, which is the most that is read"]
+    assert problems("a\0.csv") == ["cannot be read: embedded null byte"]
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    assert problems(tmp_path / "zero.csv") == ["is not a regular file"]
+
+
+def test_a_million_lines_are_read_by_the_fast_parser(tmp_path, monkeypatch):
+    text = "time_s,speed_mps\n" + "\n".join(f"{t / 10},{t % 30}" for t in range(20_000))
+    monkeypatch.setattr("halfshaft.cosim.cycle_file._wrong", None)
+    assert len(Cycle.load(write(tmp_path, text)).time) == 20_000

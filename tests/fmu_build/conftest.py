@@ -1,8 +1,10 @@
 """A toy with the interface of an assembled step, its C, the same arithmetic in Python, and a client for its FMUs."""
 
 import math
+import sys
 from typing import NamedTuple
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -10,7 +12,12 @@ from fmpy.simulation import instantiate_fmu
 
 from halfshaft.fmu_build.package import build_fmu
 from halfshaft.fmu_build.variables import CycleTable
+from halfshaft.library.parameters import Relation
 from halfshaft.models.assembly import Description
+
+_P = ca.SX.sym("p", 3)
+ABOVE_0 = sys.float_info.min
+STEEP = Relation(lambda p: p.v_start > 10 * p.a_max, "v_start = {v_start:g} m/s is over 10 s at a_max = {a_max:g}")
 
 
 class Toy(NamedTuple):
@@ -20,14 +27,14 @@ class Toy(NamedTuple):
     requests: tuple = (
         Description("v_request", "m/s", "requested speed at the end of the step"),
         Description("grade", "1", "slope of the road"),
-        Description("key_on", "1", "whether the key is on", "flag", 1.0),
+        Description("key_on", "1", "whether the key is on", "flag", 1.0, 0.0, 1.0, allowed=">= 0 and <= 1"),
         Description("dt", "s", "length of the step", "real", 1.0),
         Description("decided", "1", "what a shell leaves at 0", "flag"),
     )
     parameters: tuple = (
-        Description("body.a_max", "m/s^2", "largest acceleration", "real", 1.5, 0.0, 20.0),
+        Description("body.a_max", "m/s^2", "largest acceleration", "real", 1.5, ABOVE_0, 20.0, allowed="> 0 m/s^2 and <= 20 m/s^2"),
         Description("body.k", "W.s^3/rad^3", "a coefficient", "real", 4.0),
-        Description("body.v_start", "m/s", "speed at the start", "real", 0.0, 0.0),
+        Description("body.v_start", "m/s", "speed at the start", "real", 0.0, 0.0, allowed=">= 0 m/s"),
     )
     outputs: tuple = (
         Description("body.v", "m/s", "speed", state=0),
@@ -35,6 +42,9 @@ class Toy(NamedTuple):
         Description("body.v_request", "m/s", "requested speed"),
         Description("motor.tau", "N.m", "torque"),
     )
+    start: ca.Function = ca.Function("start", [_P], [ca.vertcat(_P[2], 0)])
+    broken: ca.Function = ca.Function("broken", [_P], [_P[2] > 10 * _P[0]])
+    relations: tuple = (("body", STEEP),)
 
 
 CODE = """
@@ -89,8 +99,8 @@ class Client:
         self.folder, self.fmi, self.log, self.t = folder, fmi, [], 0.0
         self.fmu = self.instantiate()
 
-    def instantiate(self):
-        return instantiate_fmu(str(self.folder), self.description, "CoSimulation", logger=self._logged)
+    def instantiate(self, logging=True):
+        return instantiate_fmu(str(self.folder), self.description, "CoSimulation", debug_logging=logging, logger=self._logged)
 
     def _logged(self, *arguments):
         self.log.append((arguments[-2].decode(), arguments[-1].decode()))
@@ -105,13 +115,13 @@ class Client:
     def outputs(self):
         return self.get(*self.OUTPUTS)
 
-    def initialize(self, start_time=0.0):
+    def initialize(self, start_time=0.0, stop_time=None):
         self.t = start_time
         if self.fmi == 2:
-            self.fmu.setupExperiment(startTime=start_time)
+            self.fmu.setupExperiment(startTime=start_time, stopTime=stop_time)
             self.fmu.enterInitializationMode()
         else:
-            self.fmu.enterInitializationMode(startTime=start_time)
+            self.fmu.enterInitializationMode(startTime=start_time, stopTime=stop_time)
         self.fmu.exitInitializationMode()
         return self
 

@@ -1,4 +1,5 @@
 import math
+import os
 
 import pytest
 
@@ -267,3 +268,90 @@ def test_what_other_parts_decide_may_be_left_open_only_when_said_so():
     with pytest.raises(InputError, match="omega_locus is missing"):
         read_component("series-thermostat")
     assert "omega_locus" not in read_component("series-thermostat", ["omega_locus"]).values
+
+
+HOSTILE = "a\\u001b[31m*/\\u202e \\u0007\\n\\u0085\\u2028b"
+
+
+def test_titles_and_sources_lose_control_characters(tmp_path):
+    file = read_component(write(tmp_path, MOTOR.replace('"M"', f'"{HOSTILE}"').replace('"S"', f'"{HOSTILE}"')))
+    assert (file.title, file.source) == ("a [31m*/ b",) * 2
+
+
+@pytest.mark.parametrize("name", ["-m", "a*b", "a\\b", 'a"b', "a\x1bb", "a\u202eb", "a\nb", "x" * 101])
+def test_names_are_of_a_checked_alphabet(tmp_path, name):
+    text = MOTOR.replace('name = "m"', "name = " + '"' + "".join(f"\\U{ord(c):08x}" for c in name) + '"')
+    (found,) = problems(write(tmp_path, text, name))
+    assert "must be letters, digits, spaces" in found
+    assert found.isprintable()
+
+
+@pytest.mark.parametrize("name", ["m", "My car (2)", "prüfstand_3.5+", "公司"])
+def test_names_of_any_language_are_read(tmp_path, name):
+    assert read_component(write(tmp_path, MOTOR.replace('name = "m"', f'name = "{name}"'), name)).name == name
+
+
+def test_messages_do_not_steer_the_terminal(tmp_path):
+    with pytest.raises(InputError) as e:
+        read_component(write(tmp_path, MOTOR.replace("J =", '"\\u001b[2J" =').replace('"300 A"', '"3 \\u202e"')))
+    assert "\x1b" not in str(e.value)
+    assert "\\x1b[2J is not known" in str(e.value)
+
+
+DIGITS, HEX = "9" * 400, "0x" + "f" * 5000
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"0.047 kg m^2"', DIGITS, "parameters.J = a number of more than 29 digits, must have a unit such as"),
+        ('"300 A"', HEX, "parameters.I_max = a number of more than 29 digits, must have a unit such as"),
+        ('"300 A"', f'"{DIGITS} A"', "must be a number and a unit"),
+        ('"300 A"', '"1e300 GA"', "must be >= 0.1 A and <= 1e+09 A and finite"),
+        ('"300 A"', '"1e9 dBm"', "must be a current such as A"),
+        ("[150, 150, 40]", f"[150, {DIGITS}, 40]", "values[2] = a number of more than 29 digits, must be a finite number"),
+        ("[0, 1500, 3000]", f"[0, 1500, {HEX}]", "omega[3] = a number of more than 29 digits, must be a finite number"),
+        ("[150, 150, 40]", "[1e300, 150, 40]", "parameters.tau_max.values[1] = 1e+300 GN m, must be a finite number"),
+        ('"300 A"', "9" * 5000, "not a TOML file"),
+        ("title", ".".join(["title"] * 5000), "title = {...}, must be a text"),
+        ("J =", "overtorque =" + HEX + "\nJ =", "overtorque = a number of more than 29 digits, must be >= 0.01 and <= 100 and finite"),
+        ("[0, 1500, 3000]", "[1500, 1500.0000000000001, 3000]", "must rise strictly"),
+        ('[[1, 1], [-20, 27], [-40, 54]]', "[[1], [-20, 27], [-40, 54]]", "parameters.P_electric.values[1] has 1 entries"),
+    ],
+)  # fmt: skip
+def test_numbers_that_no_float_holds_are_refused(tmp_path, old, new, message):
+    text = MOTOR.replace('"N m", values = [150', '"GN m", values = [150') if "GN" in message else MOTOR
+    assert any(message in p for p in problems(write(tmp_path, text.replace(old, new, 1))))
+
+
+def test_a_ragged_map_beside_a_bad_axis_is_refused(tmp_path):
+    text = MOTOR.replace("[-150, 150]}", "[150, -150]}").replace("[-20, 27]", "[-20]")
+    assert problems(write(tmp_path, text)) == [
+        "parameters.P_electric.tau[2] = -150 follows 150, an axis must rise strictly",
+        "parameters.P_electric.values[2] has 1 entries, must have 2, one for each tau",
+    ]
+    text = MOTOR.replace("[-150, 150]}", "[]}").replace("[-20, 27]", "[-20]")
+    assert "parameters.P_electric.values has lines of unequal length" in problems(write(tmp_path, text))
+
+
+def test_axis_points_that_merge_on_conversion_are_refused(tmp_path):
+    # Two neighbouring floats in degrees Celsius are one in kelvin.
+    axis = "T = {unit = 'degC', values = [20, 20.000000000000004]}"
+    text = HEAD.replace("motor", "battery").replace('"m"', '"b"') + f"[parameters.Q]\n{axis}\nvalues = {{unit = 'Ah', values = [1, 2]}}\n"
+    assert "parameters.Q.T[2] = 20 follows 20, an axis must rise strictly" in problems(write(tmp_path, text, "b"))
+
+
+def test_points_too_close_for_the_search_are_refused(tmp_path):
+    text = MOTOR.replace("[0, 1500, 3000]", "[0, 1e-300, 3000]", 1)
+    assert problems(write(tmp_path, text)) == ["parameters.tau_max: axis 1 has points too close to each other, or too far apart"]
+
+
+def test_only_regular_files_of_a_bounded_size_are_read(tmp_path):
+    os.mkfifo(tmp_path / "m.toml")
+    assert problems(tmp_path / "m.toml") == ["is not a regular file"]
+    with (tmp_path / "sparse.toml").open("wb") as file:
+        file.truncate(10**10)
+    assert problems(tmp_path / "sparse.toml") == ["has more than 10 MB, which is the most that is read"]
+    assert problems(tmp_path / "a\0.toml") == ["cannot be read: embedded null byte"]
+    (tmp_path / "latin.toml").write_bytes("title = 'Größe'".encode("latin-1"))
+    assert problems(tmp_path / "latin.toml") == ["not a text file in UTF-8: invalid start byte at byte 12"]

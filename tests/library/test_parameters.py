@@ -1,4 +1,4 @@
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import casadi as ca
 import numpy as np
@@ -71,6 +71,16 @@ def test_bounds_with_equality_admit_their_ends(share, fits):
         assert Spring(k=1, share=share, force=FORCE).share == share
     else:
         assert len(problems(Spring, k=1, share=share, force=FORCE)) == 1
+
+
+@pytest.mark.parametrize(
+    ("bounds", "lowest", "highest"),
+    [({"gt": 0}, 2.2250738585072014e-308, None), ({"gt": 2, "lt": 3}, 2.0000000000000004, 2.9999999999999996), ({"ge": 2, "le": 3}, 2, 3)],
+)
+def test_strict_bounds_have_a_number_next_to_them(bounds, lowest, highest):
+    spec = spec_of(field(metadata=param("1", "a number", **bounds).metadata))
+    assert (spec.lowest, spec.highest) == (lowest, highest)
+    assert spec.holds(lowest)
 
 
 def test_a_parameter_without_default_must_be_given():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from halfshaft.library.errors import InputError
@@ -219,3 +221,48 @@ def test_a_saved_vehicle_keeps_what_was_changed(tmp_path):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     assert Vehicle.load(write(elsewhere, car.to_toml(), car.name)).values == car.values
+
+
+def test_a_vehicle_on_a_base_does_not_take_its_source(tmp_path):
+    electric = Vehicle.load("small-car-electric")
+    own = f"own figures, on the base small-car-electric ({electric.source})"
+    assert Vehicle.load(write(tmp_path, FILE)).source == own
+    assert Vehicle.load(write(tmp_path, FILE + 'source = "me"\n')).source == "me"
+    assert electric.with_values({"body.m": 1000}).source == own
+    assert electric.with_parts({"motor": "pm-32kw"}).with_values({"body.m": 1000}).source == own
+    again = FILE.replace('"v"', '"w"').replace("small-car-electric", "v.toml")
+    write(tmp_path, FILE)
+    assert Vehicle.load(write(tmp_path, again, "w")).source == own
+
+
+def test_a_file_without_end_of_bases_is_refused(tmp_path):
+    (tmp_path / "deep").mkdir()
+    text = FILE.replace("small-car-electric", "deep/../v.toml")
+    assert problems(Vehicle.load, write(tmp_path, text)) == ["base leads back to the vehicle itself"]
+
+
+@pytest.mark.parametrize("value", ["9" * 400, "0x" + "f" * 5000, "[1]", "{a = 1}", "1979-05-27", '"a\\u0000.toml"', '"\\u001b"', "nan"])
+@pytest.mark.parametrize("line", ["[parts]\nmotor = ", "[set]\nbody.m = ", "[derive]\ngearbox.ratios.rule = ", "base = ", "powertrain = "])
+def test_whatever_a_value_is_the_answer_is_an_input_error(tmp_path, line, value):
+    text = FILE.replace('base = "small-car-electric"\n', "") if line == "base = " else FILE
+    found = problems(Vehicle.load, write(tmp_path, text + line + value))
+    assert all(text.isprintable() for text in found)
+
+
+def test_texts_given_in_python_are_cleaned_too():
+    assert replace(SERIES, title="a\x1b\n*/", source="\u202eb").title == "a */"
+    with pytest.raises(InputError, match="must be letters, digits"):
+        replace(SERIES, name="a\nb")
+
+
+def test_a_vehicle_says_what_was_made_for_others():
+    assert all(Vehicle.load(name).notes == () for name in vehicle_names())
+    assert SERIES.with_parts({"motor": "pm-32kw"}).notes == (
+        "the efficiency map of gearbox single-map is used at ratios that it was not made for: 5.005 in gear 1, made for 6.673",
+    )
+    assert SERIES.with_values({"gearbox.ratios_1": 6.7}).notes == ()
+    car = Vehicle.load("small-car-conventional")
+    assert car.with_parts({"engine": "ci-67kw"}).notes == (
+        "the shift lines of shift-conventional end at 585 rad/s, engine ci-67kw at 471 rad/s: they were made for another engine",
+    )
+    assert car.with_parts({"engine": "si-95kw"}).notes == ()

@@ -71,7 +71,7 @@ def test_hybrid_errs_in_the_direction_of_the_paper(us06):
 
 
 def test_figures_and_report_show_what_the_paper_names(us06, capsys):
-    limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": I_MAX})).result
+    limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": I_MAX}), mode="hybrid").result
     accelerations = {mode: {n: accelerate(CARS[n], mode=mode).result for n in ("1459 kg",)} for mode in ("hybrid", "iteration")}
     cycles = {"hybrid": {"2393 kg": run(CARS["2393 kg"], us06)}}
     facts = figure_facts(limited, accelerations, cycles)

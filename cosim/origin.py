@@ -1,0 +1,160 @@
+"""What a run was made of, so that a file of results says which car it was, and on which road, with which program."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property, lru_cache
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from halfshaft.cosim.cycle import Array, Cycle
+from halfshaft.library.battery import BatteryParameters
+from halfshaft.library.files import ComponentFile
+from halfshaft.library.motor import MotorParameters
+from halfshaft.library.ratings import pack_energy, peak_power
+from halfshaft.models.vehicle import Vehicle
+
+#: Packages whose version may move a result.
+PACKAGES = ("halfshaft", "casadi", "numpy")
+
+
+class Text(NamedTuple):
+    """One input of a run: what it is, where its figures come from, its content as the text of a file, and the hash of that."""
+
+    kind: str
+    name: str
+    title: str
+    source: str
+    sha256: str
+    text: str
+
+
+class Ratings(NamedTuple):
+    """Energy of all batteries and peak power of all motors of a vehicle; None if it has none."""
+
+    pack_energy_J: float | None = None
+    motor_power_max_W: float | None = None
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a run was made of, as a file of results keeps it.
+
+    Parameters
+    ----------
+    vehicle, cycle
+        The vehicle and the cycle, as texts of files in SI units.
+    parts
+        The components by role.
+    date
+        When the run was made, UTC.
+    machine
+        Operating system and processor.
+    versions
+        Of Python and of the packages that make the numbers.
+    ratings
+        What the vehicle's battery and motor are rated at.
+
+    """
+
+    vehicle: Text
+    cycle: Text
+    parts: Mapping[str, Text]
+    date: str
+    machine: str
+    versions: Mapping[str, str]
+    ratings: Ratings
+
+    def plain(self) -> dict[str, Any]:
+        """Return what JSON can hold."""
+        parts = {role: part._asdict() for role, part in self.parts.items()}
+        texts = {"vehicle": self.vehicle._asdict(), "cycle": self.cycle._asdict(), "parts": parts}
+        return {**self.__dict__, **texts, "ratings": self.ratings._asdict()}
+
+    @classmethod
+    def of_plain(cls, plain: Mapping[str, Any]) -> Origin:
+        """Return what `plain` gave."""
+        texts = {"vehicle": Text(**plain["vehicle"]), "cycle": Text(**plain["cycle"])}
+        parts = {role: Text(**part) for role, part in plain["parts"].items()}
+        return cls(**{**plain, **texts, "parts": parts, "ratings": Ratings(**plain["ratings"])})
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """Vehicle, cycle and time [s since 1970] of a run that was just made; the rest of its origin is worked out when asked for."""
+
+    vehicle: Vehicle
+    cycle: Cycle
+    time: float
+
+    @cached_property
+    def ratings(self) -> Ratings:
+        """What the vehicle's battery and motor are rated at."""
+        sets = self.vehicle.parameters.values()
+        energies = [pack_energy(p) for p in sets if isinstance(p, BatteryParameters)]
+        powers = [peak_power(p) for p in sets if isinstance(p, MotorParameters)]
+        return Ratings(sum(energies) if energies else None, sum(powers) if powers else None)
+
+    @cached_property
+    def origin(self) -> Origin:
+        """What the run was made of, in full."""
+        return Origin(
+            vehicle=_text("vehicle", self.vehicle, self.vehicle.to_toml()),
+            cycle=_text("cycle", self.cycle, _csv(self.cycle)),
+            parts={role: _part(part) for role, part in self.vehicle.parts.items()},
+            date=datetime.fromtimestamp(self.time, UTC).isoformat(timespec="seconds"),
+            machine=f"{platform.system()} {platform.release()} {platform.machine()}",
+            versions={"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+            ratings=self.ratings,
+        )
+
+
+class Hashes(Mapping[str, str]):
+    """Hashes of the cycle and of all parts by role, worked out when asked for."""
+
+    def __init__(self, made: Made) -> None:
+        self._made = made
+
+    def __getitem__(self, name: str) -> str:
+        """Return one hash."""
+        return (self._made.origin.cycle if name == "cycle" else self._made.origin.parts[name]).sha256
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield ``cycle`` and the roles."""
+        return iter(("cycle", *self._made.vehicle.parts))
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return 1 + len(self._made.vehicle.parts)
+
+
+@lru_cache(maxsize=256)
+def _part(part: ComponentFile) -> Text:
+    # Large maps take a tenth of a second to write.
+    return _text(part.kind, part, part.to_toml())
+
+
+def _text(kind: str, named: Any, text: str) -> Text:
+    return Text(kind, named.name, named.title, named.source, hashlib.sha256(text.encode()).hexdigest(), text)
+
+
+def _csv(cycle: Cycle) -> str:
+    """Return a cycle as the text of its file; a grade over distance follows as a second one."""
+    notes = {"name": cycle.name, "title": cycle.title, "source": cycle.source}
+    head = [f"# {key}: {' '.join(note.split())}" for key, note in notes.items()]
+    columns = {"time_s": cycle.time, "speed_mps": cycle.speed, "grade": cycle.grade, "key_on": cycle.key_on}
+    lines = [*head, *_rows({title: x for title, x in columns.items() if x is not None})]
+    if cycle.grade_by_distance is not None:
+        distance, grade = cycle.grade_by_distance
+        lines += ["", *_rows({"distance_m": distance, "grade": grade})]
+    return "\n".join(lines) + "\n"
+
+
+def _rows(columns: Mapping[str, Array]) -> list[str]:
+    return [",".join(columns), *(",".join(map(repr, row)) for row in np.column_stack(list(columns.values())).tolist())]

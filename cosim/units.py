@@ -1,0 +1,85 @@
+"""The units in which people read results; everywhere else numbers are SI, or have their unit in their name.
+
+A gallon is that of the US, 231 cubic inches, and a mile that of 1959; both are exact.  A gallon of gasoline counts as
+33.705 kWh where electricity is told in miles per gallon equivalent (EPA).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple, TypeAlias
+
+Units: TypeAlias = Literal["metric", "us"]
+
+L_PER_GALLON = 3.785411784
+M_PER_MILE = 1609.344
+M_PER_FOOT = 0.3048
+WH_PER_GALLON = 33705.0
+
+
+class Unit(NamedTuple):
+    """How one quantity is shown: its unit, the number in it, and digits behind the point."""
+
+    name: str
+    of: Callable[[float], float]
+    digits: int
+
+
+def mpg(L_per_100km: float) -> float:
+    """Return miles per gallon."""
+    return 1e5 * L_PER_GALLON / M_PER_MILE / L_per_100km
+
+
+def mpge(Wh_per_km: float) -> float:
+    """Return miles per gallon equivalent of gasoline."""
+    return WH_PER_GALLON / (Wh_per_km * M_PER_MILE / 1e3)
+
+
+_BOTH = {
+    "energy": Unit("kWh", lambda J: J / 3.6e6, 3),
+    "small energy": Unit("Wh", lambda J: J / 3600, 1),
+    "power": Unit("kW", lambda W: W / 1e3, 1),
+}
+SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
+    "metric": {
+        **_BOTH,
+        "distance": Unit("km", lambda m: m / 1e3, 3),
+        "range": Unit("km", lambda m: m / 1e3, 0),
+        "way": Unit("m", lambda m: m, 1),
+        "speed": Unit("km/h", lambda v: v * 3.6, 2),
+        "volume": Unit("L", lambda L: L, 4),
+        "economy": Unit("L/100 km", lambda x: x, 3),
+        "consumption": Unit("Wh/km", lambda x: x, 1),
+    },
+    "us": {
+        **_BOTH,
+        "distance": Unit("mi", lambda m: m / M_PER_MILE, 3),
+        "range": Unit("mi", lambda m: m / M_PER_MILE, 0),
+        "way": Unit("ft", lambda m: m / M_PER_FOOT, 1),
+        "speed": Unit("mph", lambda v: v * 3600 / M_PER_MILE, 2),
+        "volume": Unit("gal", lambda L: L / L_PER_GALLON, 4),
+        "economy": Unit("mpg", mpg, 2),
+        "consumption": Unit("Wh/mi", lambda x: x * M_PER_MILE / 1e3, 1),
+    },
+}  # fmt: skip
+
+
+def shown(quantity: str, value: float | None, units: Units = "metric", digits: int | None = None) -> str:
+    """Return a value with its unit, or a dash where there is none.
+
+    Parameters
+    ----------
+    quantity
+        What the value is, a key of `SYSTEMS`.
+    value
+        In SI, or in L, L/100 km and Wh/km.
+    units
+        The system to show it in.
+    digits
+        Digits behind the point, if not those of the quantity.
+
+    """
+    unit = SYSTEMS[units][quantity]
+    if value is None or (value == 0 and unit.of is mpg):
+        return "-"
+    return f"{unit.of(value):.{unit.digits if digits is None else digits}f} {unit.name}"
