@@ -120,7 +120,7 @@ def test_figures_and_report_show_what_the_paper_names(us06, capsys):
 
 
 def test_axes_of_figures_are_in_the_units_of_a_reader(us06):
-    limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": I_MAX})).result
+    limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": I_MAX}), mode="hybrid").result
     drawings = {**acceleration_drawings(limited), "10": deviations_drawing({"2393 kg": run(CARS["2393 kg"], us06)})}
     plots = {number: drawing[0] for number, drawing in drawings.items()}
     assert plots["7"].y_label == "motor input power (kW)"
