@@ -38,7 +38,7 @@ reproduce: .venv/.installed  ## reproduce the tables and figures of the paper in
 	$(BIN)/halfshaft reproduce --out build/reproduce
 
 docs: .venv/.installed-docs  ## build the manual in build/site
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## remove what the other targets made, except .venv
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -10,19 +10,16 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
 
-from halfshaft import __version__
-from halfshaft.cosim.acceleration import REQUEST, Acceleration, accelerate
 from halfshaft.cosim.cli_output import (
     VIA,
     Commands,
     busy,
     print_acceleration,
     print_bench,
-    print_group,
     print_json,
     print_line,
     print_run,
@@ -30,18 +27,21 @@ from halfshaft.cosim.cli_output import (
     print_written,
     solver_noise,
 )
-from halfshaft.cosim.cli_show import Shelf, print_list, print_named
-from halfshaft.cosim.compiled import Mode
-from halfshaft.cosim.cycle import Cycle, cycle_names
-from halfshaft.cosim.fmu import build_fmu, fmu_problems
-from halfshaft.cosim.simulate import Via, run
 from halfshaft.cosim.units import SYSTEMS, Units
-from halfshaft.fmu_build.variables import Version
+from halfshaft.cosim.ways import Mode, Via
 from halfshaft.library.errors import HalfshaftError
 from halfshaft.library.writing import target_problem
-from halfshaft.models.vehicle import Vehicle, vehicle_names
+
+if TYPE_CHECKING:
+    # Each command imports what it runs: the help needs none of it.
+    from halfshaft.cosim.acceleration import Acceleration
+    from halfshaft.cosim.cycle import Cycle
+    from halfshaft.models.vehicle import Vehicle
 
 T = TypeVar("T")
+
+#: What the library has.
+Shelf = Literal["vehicles", "components", "cycles"]
 
 #: Ways of a compared full acceleration, in the order in which they are shown.
 COMPARED: tuple[Mode | Literal["forward"], ...] = ("hybrid", "iteration", "refined", "forward")
@@ -62,6 +62,8 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
+        from halfshaft import __version__
+
         typer.echo(f"halfshaft {__version__}")
         raise typer.Exit
 
@@ -74,10 +76,14 @@ def _main(
 
 
 def _vehicles(incomplete: str) -> list[str]:
+    from halfshaft.models.vehicle import vehicle_names
+
     return [name for name in vehicle_names() if name.startswith(incomplete)]
 
 
 def _cycles(incomplete: str) -> list[str]:
+    from halfshaft.cosim.cycle import cycle_names
+
     return [name for name in cycle_names() if name.startswith(incomplete)]
 
 
@@ -127,6 +133,9 @@ def _run(
     units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
+    from halfshaft.cosim.cycle import Cycle
+    from halfshaft.cosim.simulate import run
+
     checks = _Checks()
     car = checks.vehicle(vehicle, mass, values, soc)
     trace = checks.take(lambda: Cycle.load(cycle, grade) if smooth is None else Cycle.load(cycle, grade).smoothed(smooth))
@@ -134,6 +143,8 @@ def _run(
     if mode != "hybrid" and via != "step":
         checks.problem(f"mode {mode} runs via step only, not via {via}")
     if via in ("fmu2", "fmu3") and trace is not None and checks.step_fits:
+        from halfshaft.cosim.fmu import fmu_problems
+
         checks.problem(*fmu_problems(3, trace, dt))
     checks.target(out, "--out")
     checks.target(plot, "--plot")
@@ -151,7 +162,7 @@ def _run(
         from halfshaft.cosim.plot import plot_run
 
         with busy(f"drawing {plot}"):
-            plot_run(result, plot)
+            plot_run(result, path=plot)
     if as_json:
         print_run_json(result)
         return
@@ -182,6 +193,8 @@ def _accelerate(
     units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
+    from halfshaft.cosim.acceleration import REQUEST, accelerate
+
     checks = _Checks()
     found = checks.vehicle(vehicle, mass, values, None)
     speed = SYSTEMS[units]["speed"]
@@ -230,7 +243,10 @@ def _fmu(
     values: Values = None,
     soc: Soc = None,
 ) -> None:
-    version: Version = 2 if fmi == "2" else 3
+    from halfshaft.cosim.cycle import Cycle
+    from halfshaft.cosim.fmu import build_fmu, fmu_problems
+
+    version: Literal[2, 3] = 2 if fmi == "2" else 3
     checks = _Checks()
     found = checks.vehicle(vehicle, mass, values, soc)
     trace = None if cycle is None else checks.take(lambda: Cycle.load(cycle, grade))
@@ -263,6 +279,7 @@ def _reproduce(
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write figures, tables and a report to this folder.")] = None,
     as_json: Json = False,
 ) -> None:
+    from halfshaft.validation.report import print_report
     from halfshaft.validation.reproduce import reproduce
 
     checks = _Checks()
@@ -273,7 +290,7 @@ def _reproduce(
     if as_json:
         print_json(found)
         return
-    print_group(found)
+    print_report(found)
     print_written(out)
 
 
@@ -305,11 +322,18 @@ def _bench(as_json: Json = False) -> None:
     \b
     Examples:
       halfshaft list vehicles
-      halfshaft list components
+      halfshaft list components --kind motor
     """,
 )
-def _list(what: Annotated[Shelf, typer.Argument(show_default=False)]) -> None:
-    print_list(what)
+def _list(
+    what: Annotated[Shelf, typer.Argument(show_default=False)],
+    kind: Annotated[str | None, typer.Option(metavar="KIND", help="Only components of this kind.")] = None,
+) -> None:
+    from halfshaft.cosim.cli_show import print_list
+
+    if kind is not None and what != "components":
+        raise HalfshaftError(f"--kind {kind}: goes with components, not with {what}")
+    print_list(what, kind)
 
 
 @app.command(
@@ -321,11 +345,27 @@ def _list(what: Annotated[Shelf, typer.Argument(show_default=False)]) -> None:
       halfshaft show small-car-series
       halfshaft show si-41kw
       halfshaft show us06
-      halfshaft show my-car.toml
+      halfshaft show si-41kw --plot map.png
+      halfshaft show small-car-series --toml > my-car.toml
     """,
 )
-def _show(name: Annotated[str, typer.Argument(metavar="NAME", help="Name in the library, or a file.", show_default=False)]) -> None:
+def _show(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name in the library, or a file.", show_default=False)],
+    toml: Annotated[bool, typer.Option("--toml", help="Print it as a file to edit.")] = False,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the maps of a component (.png, .svg, .pdf).")] = None,
+) -> None:
+    from halfshaft.cosim.cli_show import draw, print_named, print_toml
+
+    checks = _Checks()
+    checks.target(plot, "--plot")
+    checks.raise_problems()
+    if plot is not None:
+        draw(name, plot)
+    if toml:
+        print_toml(name)
+        return
     print_named(name)
+    print_written(plot)
 
 
 class _Checks:
@@ -349,6 +389,8 @@ class _Checks:
 
     def vehicle(self, name: str, mass: float | None, values: Sequence[str] | None, soc: float | None) -> Vehicle | None:
         """Return a vehicle with the numbers that were set."""
+        from halfshaft.models.vehicle import Vehicle
+
         car = self.take(lambda: Vehicle.load(name))
         given: list[tuple[str, float | str]] = [] if mass is None else [("body.m", mass)]
         for text in values or ():

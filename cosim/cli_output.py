@@ -13,9 +13,8 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import typer
 from rich import box
 from rich.console import Console
@@ -25,13 +24,13 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from typer.core import TyperGroup
 
-from halfshaft.cosim.acceleration import Acceleration
-from halfshaft.cosim.facts import HEADINGS, energy_rows, facts
-from halfshaft.cosim.remarks import remarks
-from halfshaft.cosim.result import Result
 from halfshaft.cosim.units import Units, shown
 from halfshaft.library.errors import HalfshaftError
-from halfshaft.models.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from halfshaft.cosim.acceleration import Acceleration
+    from halfshaft.cosim.result import Result
+    from halfshaft.models.vehicle import Vehicle
 
 #: Exit codes as shells have them for a program that a signal ended: of an interrupt, and of a pipe that nobody reads.
 INTERRUPTED, NOBODY_READS = 130, 141
@@ -175,6 +174,8 @@ def print_json(found: Mapping[str, Any]) -> None:
 
 def _plain(value: Any) -> Any:
     """Return what JSON can hold; what is not a finite number becomes null."""
+    import numpy as np
+
     if isinstance(value, Mapping):
         return {str(k): _plain(x) for k, x in value.items()}
     if isinstance(value, np.ndarray):
@@ -208,6 +209,9 @@ def print_run_json(result: Result) -> None:
 
 def print_run(result: Result, units: Units = "metric") -> None:
     """Print the main numbers of a run, its energy account and its warnings."""
+    from halfshaft.cosim.facts import facts
+    from halfshaft.cosim.remarks import remarks
+
     out, run = console(), result.inputs
     way = VIA[run.via] if run.compiled else "interpreted step"
     how = "forward-facing" if run.via == "forward" else f"{way}, {run.mode}, {run.dt:g} s"
@@ -231,6 +235,8 @@ def _failures(result: Result) -> list[str]:
 
 def _account_table(result: Result) -> Table:
     """Return the energies in Wh, from the source to the wheel, and what became of them."""
+    from halfshaft.cosim.facts import HEADINGS, energy_rows
+
     table = new_table()
     for i, heading in enumerate(HEADINGS):
         table.add_column(escape(heading), justify="right" if i else "left", no_wrap=True, min_width=8 if 0 < i < 4 else None)
@@ -272,26 +278,6 @@ def print_bench(rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         table.add_row(*(escape(_cell(row[key])) for key in ("name", "value", "unit", "target", "note")))
     console().print(table)
-
-
-def print_group(found: Mapping[str, Any], *above: str) -> None:
-    """Print a nested result: one table for each group, one line for each value or list."""
-    found = _plain(found)
-    groups = {k: x for k, x in found.items() if isinstance(x, dict)}
-    single = {k: x for k, x in found.items() if k not in groups}
-    if single:
-        table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=" ".join(above).replace("_", " ") or None)
-        table.title_justify, table.title_style = "left", "bold"
-        widest = max((len(x) for x in single.values() if isinstance(x, list)), default=1)
-        table.add_column(no_wrap=True)
-        for _ in range(widest if widest <= 8 else 1):
-            table.add_column(justify="right", overflow="fold")
-        for key, x in single.items():
-            cells = x if isinstance(x, list) and widest <= 8 else [", ".join(map(_cell, x))] if isinstance(x, list) else [x]
-            table.add_row(escape(key.replace("_", " ")), *(escape(_cell(cell)) for cell in cells))
-        console().print(table)
-    for key, group in groups.items():
-        print_group(group, *above, key)
 
 
 def _cell(value: Any) -> str:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
-from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Literal
 
+import typer
 from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
@@ -17,20 +16,17 @@ from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.library.catalog import KINDS
 from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.files import LARGEST, ComponentFile, component_names, read_component
-from halfshaft.library.parameters import numbers, spec_of, tables
+from halfshaft.library.parameters import described
 from halfshaft.library.tables import Table as Map
 from halfshaft.library.texts import read_text
 from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
 
-#: What the library has.
-Shelf = Literal["vehicles", "components", "cycles"]
-
 Rows = tuple[list[str], list[list[str]]]
 
 
-def print_list(what: Shelf) -> None:
-    """Print what the library has."""
-    headings, rows = {"vehicles": _vehicle_rows, "components": _component_rows, "cycles": _cycle_rows}[what]()
+def print_list(what: str, kind: str | None = None) -> None:
+    """Print what the library has; of components, all or those of one kind."""
+    headings, rows = _component_rows(kind) if what == "components" else _vehicle_rows() if what == "vehicles" else _cycle_rows()
     table = new_table()
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="right" if "[" in heading else "left", no_wrap=i == 0, overflow="fold")
@@ -44,9 +40,21 @@ def _vehicle_rows() -> Rows:
     return ["vehicle", "powertrain", "mass \\[kg]", "title"], [[v.name, v.powertrain, f"{v.values['body.m']:g}", v.title] for v in vehicles]
 
 
-def _component_rows() -> Rows:
-    components = [_component(name) for name in component_names()]
-    return ["component", "kind", "title"], [[c.name, c.kind, c.title] for c in sorted(components, key=lambda c: c.kind)]
+def _component_rows(kind: str | None) -> Rows:
+    components = [any_component(name) for name in component_names(kind)]
+    rows = [[c.name, c.kind, _power(c), _mass(c), c.title] for c in sorted(components, key=lambda c: c.kind)]
+    return ["component", "kind", "power \\[kW]", "mass \\[kg]", "title"], rows
+
+
+def _power(c: ComponentFile) -> str:
+    """Return the largest continuous power of what has an envelope of torque over speed."""
+    envelope = c.values.get("tau_max")
+    return f"{(envelope.points[0] * envelope.values).max() / 1000:.1f}" if isinstance(envelope, Map) else ""
+
+
+def _mass(c: ComponentFile) -> str:
+    mass = c.values.get("mass", 0.0) * c.values.get("n_modules", 1.0)
+    return f"{mass:.0f}" if mass else ""
 
 
 def _cycle_rows() -> Rows:
@@ -69,15 +77,33 @@ def print_named(name: str) -> None:
         _show_component(found)
 
 
+def print_toml(name: str) -> None:
+    """Print a vehicle or a component as the text of a file."""
+    found = _find(name)
+    if isinstance(found, Cycle):
+        raise InputError(f"'{name}'", ["is a cycle, a CSV file; only vehicles and components are TOML files"])
+    typer.echo(found.to_toml(), nl=False)
+
+
+def draw(name: str, path: Path) -> None:
+    """Draw the maps of a component."""
+    from halfshaft.cosim.maps import plot_maps
+
+    found = _find(name)
+    if not isinstance(found, ComponentFile):
+        raise InputError(f"'{name}'", ["only the maps of a component are drawn; 'halfshaft show' names the components of a vehicle"])
+    plot_maps(found, path)
+
+
 def _find(name: str) -> Vehicle | Cycle | ComponentFile:
     if name.lower().endswith(".csv"):
         return Cycle.load(name)
     if name.endswith(".toml"):
-        return _component(name) if _is_component(Path(name)) else Vehicle.load(name)
+        return any_component(name) if _is_component(Path(name)) else Vehicle.load(name)
     if name in vehicle_names():
         return Vehicle.load(name)
     if name in component_names():
-        return _component(name)
+        return any_component(name)
     if name.lower() in cycle_names():
         return Cycle.load(name)
     known = [*vehicle_names(), *component_names(), *cycle_names()]
@@ -91,7 +117,8 @@ def _is_component(path: Path) -> bool:
         return False  # the reader of vehicles says what is wrong
 
 
-def _component(name: str) -> ComponentFile:
+def any_component(name: str) -> ComponentFile:
+    """Return a component, also one that leaves something open for a vehicle to decide."""
     try:
         return read_component(name)
     except InputError:
@@ -128,16 +155,13 @@ def _show_vehicle(v: Vehicle) -> None:
     for role, part in v.parts.items():
         parts.add_row(role, escape(part.name), part.kind, escape(part.title))
     console().print(parts)
-    ruled = {target: type(rule).__name__ for target, rule in v.rules.items()}
+    ruled = v.rules.keys()
     table = _value_table("parameter", "from")
     for role, p in v.parameters.items():
-        for name, spec, value in numbers(p):
+        for name, *rest in described(type(p), vars(p)):
             full = f"{role}.{name}"
             origin = "set" if full in v.explicit else "rule" if full in ruled or full.rpartition("_")[0] in ruled else ""
-            table.add_row(full, f"{value:g}", spec.unit, escape(spec.doc), origin)
-        specs = {f.name: spec_of(f) for f in fields(p)}
-        for name, t in tables(p):
-            table.add_row(f"{role}.{name}", "map", specs[name].unit, escape(f"{specs[name].doc}; {_extent(t)}"), "")
+            table.add_row(full, *map(escape, rest), origin)
         table.add_section()
     console().print(table)
 
@@ -145,43 +169,14 @@ def _show_vehicle(v: Vehicle) -> None:
 def _show_component(c: ComponentFile) -> None:
     _head(c.name, c.title, [("kind", c.kind), ("source", c.source)])
     table = _value_table("parameter")
-    for f in fields(c.component.parameters):
-        spec = spec_of(f)
-        value = c.values.get(f.name, f.default)
-        if value is MISSING:
-            table.add_row(f.name, "open", spec.unit, escape(f"{spec.doc}; follows from other parts of a vehicle"))
-        elif spec.axes:
-            table.add_row(f.name, "map", spec.unit, escape(f"{spec.doc}; {_extent(value)}"))
-        elif spec.row:
-            for i, x in enumerate(value, 1):
-                table.add_row(f"{f.name}_{i}", f"{x:g}", spec.unit, escape(spec.doc))
-        else:
-            table.add_row(f.name, f"{value:g}", spec.unit, escape(spec.doc))
+    for row in described(c.component.parameters, c.values):
+        table.add_row(*map(escape, row))
     console().print(table)
 
 
-def _extent(t: Map) -> str:
-    return f"{' x '.join(str(n) for n in t.values.shape)} values, {t.values.min():.4g} to {t.values.max():.4g}"
-
-
 def _show_cycle(c: Cycle) -> None:
-    s = c.statistics()
     _head(c.name, c.title, [("source", c.source)])
     table = _value_table("figure")
-    for name, value, unit, doc in (
-        ("duration", s.duration, "s", "time from the first point to the last"),
-        ("distance", s.distance / 1000, "km", "distance driven if the trace is met"),
-        ("v_max", s.v_max * 3.6, "km/h", "top speed"),
-        ("v_mean", s.v_mean * 3.6, "km/h", "mean speed, stops included"),
-        ("a_max", s.a_max, "m/s^2", "largest acceleration"),
-        ("a_min", s.a_min, "m/s^2", "largest deceleration"),
-        ("t_idle", s.t_idle, "s", "time at rest"),
-        ("stops", float(s.stops), "1", "number of stops"),
-    ):
-        table.add_row(name, f"{value:.5g}", unit, doc)
-    if c.grade_by_distance is not None:
-        low, high = (100 * float(x) for x in (c.grade_by_distance[1].min(), c.grade_by_distance[1].max()))
-        table.add_row("grade", f"{low:.3g} to {high:.3g}", "%", "grade of the road, by distance")
-    elif c.grade is not None:
-        table.add_row("grade", f"{100 * c.grade.min():.3g} to {100 * c.grade.max():.3g}", "%", "grade of the road, by time")
+    for row in c.figures():
+        table.add_row(*row)
     console().print(table)

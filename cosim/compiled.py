@@ -13,13 +13,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from halfshaft.cosim.cycle import Samples
+from halfshaft.cosim.ways import MODES as MODES
+from halfshaft.cosim.ways import Mode as Mode
 from halfshaft.fmu_build.code import compiled_tables, step_code
 from halfshaft.fmu_build.compiler import SlowWarning, shared_library
 from halfshaft.library.errors import CompileError, InputError, SolveError
@@ -28,8 +30,6 @@ from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.model import Model
 
 Array: TypeAlias = npt.NDArray[np.float64]
-Mode: TypeAlias = Literal["hybrid", "refined", "iteration"]
-MODES: tuple[Mode, ...] = ("hybrid", "refined", "iteration")
 #: At most so many outputs are named.
 NAMED = 5
 

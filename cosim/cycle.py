@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from halfshaft.cosim.cycle_file import GRADE, TRACE, read_csv
 from halfshaft.library.errors import InputError, nearest, number
+from halfshaft.library.notebook import Grid, card
 from halfshaft.library.texts import NAME, cleaned, name_problem
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -132,6 +133,31 @@ class Cycle:
             raise InputError(f"cycle '{self.name}'", problems)
         for name, x in {**rows, "title": cleaned(self.title), "source": cleaned(self.source)}.items():
             object.__setattr__(self, name, x)
+
+    def __repr__(self) -> str:
+        """Return name, duration and distance."""
+        return f"<Cycle {self.name}: {self.duration:g} s, {self.statistics().distance / 1000:.2f} km>"
+
+    def _repr_html_(self) -> str:
+        return card(self.name, self.title, {"source": self.source}, Grid(("figure", "value", "unit", "meaning"), self.figures()))
+
+    def figures(self) -> list[tuple[str, str, str, str]]:
+        """Return the figures of the cycle as texts, in km and km/h: name, value, unit and meaning."""
+        s = self.statistics()
+        rows = [
+            ("duration", f"{s.duration:.5g}", "s", "time from the first point to the last"),
+            ("distance", f"{s.distance / 1000:.5g}", "km", "distance driven if the trace is met"),
+            ("v_max", f"{s.v_max * 3.6:.5g}", "km/h", "top speed"),
+            ("v_mean", f"{s.v_mean * 3.6:.5g}", "km/h", "mean speed, stops included"),
+            ("a_max", f"{s.a_max:.5g}", "m/s^2", "largest acceleration"),
+            ("a_min", f"{s.a_min:.5g}", "m/s^2", "largest deceleration"),
+            ("t_idle", f"{s.t_idle:.5g}", "s", "time at rest"),
+            ("stops", f"{s.stops}", "1", "number of stops"),
+        ]
+        grade, over = (self.grade_by_distance[1], "distance") if self.grade_by_distance is not None else (self.grade, "time")
+        if grade is not None:
+            rows.append(("grade", f"{100 * grade.min():.3g} to {100 * grade.max():.3g}", "%", f"grade of the road, by {over}"))
+        return rows
 
     @property
     def duration(self) -> float:

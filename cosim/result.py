@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from halfshaft.cosim.account import Account, account
 from halfshaft.cosim.audit import Audit
@@ -23,6 +22,9 @@ from halfshaft.library.errors import InputError, nearest
 from halfshaft.library.texts import open_regular
 from halfshaft.library.writing import written_whole
 from halfshaft.models.assembly import Description
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: What a saved run is written as; 1 had no origin.
 FORMAT = 2
@@ -167,6 +169,8 @@ class Result:
     @cached_property
     def dataset(self) -> xr.Dataset:
         """All time series with units and meanings, as a labelled dataset; built when first asked for."""
+        import xarray as xr  # takes a fifth of a second
+
         rows = self._rows
         series = {d.name: xr.DataArray(rows[:, i], dims="time", attrs=_attributes(d)) for i, d in enumerate(self.outputs)}
         time = xr.DataArray(self.time, dims="time", attrs={"units": "s", "long_name": "end of the step", "axis": "T"})

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Literal, TypeAlias, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -18,13 +18,12 @@ from halfshaft.cosim.forward import Driver, Forward
 from halfshaft.cosim.memory import check_memory
 from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
+from halfshaft.cosim.ways import Via as Via
 from halfshaft.library.errors import InputError, nearest, number
 from halfshaft.library.parameters import tables
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
-
-Via: TypeAlias = Literal["step", "fmu2", "fmu3", "forward"]
 
 
 class Build:

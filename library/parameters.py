@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from halfshaft.library.errors import InputError
+from halfshaft.library.notebook import Grid, card
 from halfshaft.library.tables import Axis, Table
 
 
@@ -126,6 +127,27 @@ class Parameters:
     def check(self) -> list[str]:
         """Return which relations are broken; symbols break none."""
         return [r.message.format_map(vars(self)) for r in self.relations if isinstance(wrong := r.broken(self), bool | np.bool) and wrong]
+
+    def _repr_html_(self) -> str:
+        return card(type(self).__name__, "", {}, Grid(DESCRIBED, described(type(self), vars(self))))
+
+
+#: What `described` tells of a parameter.
+DESCRIBED = ("parameter", "value", "unit", "meaning")
+
+
+def described(kind: type[Parameters], values: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+    """Yield each parameter with its value as texts; without a value and a default it is open."""
+    for f in fields(kind):
+        spec, value = spec_of(f), values.get(f.name, f.default)
+        if value is MISSING:
+            yield f.name, "open", spec.unit, f"{spec.doc}; follows from other parts of a vehicle"
+        elif spec.axes:
+            yield f.name, "map", spec.unit, f"{spec.doc}; {value.extent}"
+        elif spec.row:
+            yield from ((f"{f.name}_{i}", f"{x:g}", spec.unit, spec.doc) for i, x in enumerate(value, 1))
+        else:
+            yield f.name, f"{value:g}", spec.unit, spec.doc
 
 
 def spec_of(f: Field[Any]) -> Spec:

@@ -15,9 +15,7 @@ one-second parts.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -163,17 +161,6 @@ class SeriesControl(Component):
         }
 
 
-@contextmanager
-def _without_date() -> Iterator[None]:
-    """Hide ``SOURCE_DATE_EPOCH``: a part of NumPy that SciPy imports does not bear one that is no number."""
-    given = os.environ.pop("SOURCE_DATE_EPOCH", None)
-    try:
-        yield
-    finally:
-        if given is not None:
-            os.environ["SOURCE_DATE_EPOCH"] = given
-
-
 @np.errstate(all="ignore")
 def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: int = 11) -> Table:
     """Return the genset speed of least fuel over engine power, for engine scales of 1.
@@ -189,9 +176,6 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
         If the two have no speed in common, or the engine's maps hold no power.
 
     """
-    with _without_date():
-        from scipy.interpolate import RegularGridInterpolator
-
     omega_engine, tau_engine = engine.fuel.points
     omega_generator = generator.P_electric.points[0] * generator.speed_scale
     tau_generator = generator.P_electric.points[1] * generator.torque_scale
@@ -213,9 +197,9 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
     grid = np.stack(np.meshgrid(omega, tau, indexing="ij"), axis=-1)
 
     per_work = 3.6e9 * fuel / np.outer(omega_engine, tau_engine)
-    per_work = RegularGridInterpolator((omega_engine, tau_engine), per_work)(grid)
+    per_work = _read((omega_engine, tau_engine), per_work, grid)
     scale = generator.speed_scale * generator.torque_scale
-    electric = RegularGridInterpolator((omega_generator, tau_generator), scale * generator.P_electric.values)(grid)
+    electric = _read((omega_generator, tau_generator), scale * generator.P_electric.values, grid)
     efficiency = np.maximum(electric / np.outer(omega, tau), LOWEST_EFFICIENCY)
     envelope_engine = np.interp(omega, engine.tau_max.points[0], engine.tau_max.values)
     envelope_generator = generator.overtorque * generator.torque_scale * generator.tau_max.values
@@ -227,7 +211,13 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
         torques = np.clip(P / speeds, tau[0], tau[-1])
         points = np.stack([speeds, torques], axis=-1)
         over = (torques > np.interp(speeds, omega, envelope_engine)) | (torques > np.interp(speeds, omega, envelope_generator))
-        cost = RegularGridInterpolator((omega, tau), per_work)(points) / RegularGridInterpolator((omega, tau), efficiency)(points)
+        cost = _read((omega, tau), per_work, points) / _read((omega, tau), efficiency, points)
         P_points.append(P)
         omega_points.append(speeds[np.argmin(cost + 10000 * over)])
     return Table.of([*P_points, P_top], values=[*omega_points, engine.tau_max.points[0][power.argmax()]])
+
+
+def _read(axes: tuple[Any, Any], values: Any, points: Any) -> Any:
+    """Return a map over two axes at points, of shape ``(..., 2)``."""
+    read = ca.interpolant("read", "linear", [x.tolist() for x in axes], values.ravel(order="F").tolist())
+    return np.array(read(points.reshape(-1, 2).T)).reshape(points.shape[:-1])

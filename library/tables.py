@@ -96,6 +96,15 @@ class Table:
             return float(self.interpolant(ca.vertcat(*x)))
         return self.interpolant(ca.vertcat(*x))
 
+    def __repr__(self) -> str:
+        """Return how many values there are, and between which they lie."""
+        return f"<{self.extent}>"
+
+    @property
+    def extent(self) -> str:
+        """How many values there are, and between which they lie."""
+        return f"{' x '.join(str(len(p)) for p in self.points)} values, {self.values.min():.4g} to {self.values.max():.4g}"
+
     def inside(self, axis: int) -> tuple[float, float]:
         """Return the ends of one axis."""
         return float(self.points[axis][0]), float(self.points[axis][-1])

@@ -25,7 +25,8 @@ from halfshaft.library.final_drive import FinalDriveParameters
 from halfshaft.library.gearbox import MapGearboxParameters
 from halfshaft.library.generator import GeneratorParameters
 from halfshaft.library.motor import MotorParameters
-from halfshaft.library.parameters import Parameters, Spec, numbers, param, spec_of
+from halfshaft.library.notebook import Grid, card
+from halfshaft.library.parameters import DESCRIBED, Parameters, Spec, described, numbers, param, spec_of
 from halfshaft.library.series_control import genset_locus
 from halfshaft.library.shift import ShiftParameters
 from halfshaft.library.tables import Table
@@ -146,6 +147,22 @@ class Vehicle:
         object.__setattr__(self, "title", cleaned(self.title))
         object.__setattr__(self, "source", cleaned(self.source))
         object.__setattr__(self, "parameters", _parameter_sets(self))
+
+    def __repr__(self) -> str:
+        """Return name, powertrain and mass."""
+        return f"<Vehicle {self.name}: {self.powertrain}, {self.values['body.m']:g} kg, {len(self.parts)} parts>"
+
+    def _repr_html_(self) -> str:
+        facts = {"powertrain": self.powertrain, "mass": f"{self.values['body.m']:g} kg", "source": self.source}
+        parts = [(role, part.name, part.kind, part.title) for role, part in self.parts.items()]
+        rows = [(f"{role}.{name}", *rest) for role, p in self.parameters.items() for name, *rest in described(type(p), vars(p))]
+        return card(
+            self.name,
+            self.title,
+            facts,
+            Grid(("role", "component", "kind", "title"), parts),
+            Grid(DESCRIBED, rows, f"{len(rows)} parameters"),
+        )
 
     @property
     def explicit(self) -> frozenset[str]:

@@ -1,13 +1,18 @@
 """The tutorial runs, the commands in the documents exist, and so do the pages."""
 
+import os
 import re
 import shlex
+import subprocess
+import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 import typer.main
 
 from halfshaft.cosim.cli import app
+from halfshaft.library.catalog import KINDS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -93,3 +98,44 @@ def test_links_lead_somewhere(page):
         if place:
             headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", goal.read_text(encoding="utf-8")), re.MULTILINE)
             assert place in {anchor(h) for h in headings}, f"{page.name} links to {target}#{place}"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build the manual; a link or a name that leads nowhere fails."""
+    target = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(target)]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+def test_the_manual_asks_nothing_of_the_network(site):
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert not re.findall(r'<(?:script|link|img|iframe)[^>]*(?:src|href)="?(?:https?:)?//[^>]*>', text), page.name
+    for sheet in site.rglob("*.css"):
+        assert not re.findall(r"(?:url\(|@import\s+)[\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
+    # The search starts its worker from a file too, by a script of ours.
+    assert "iframe-worker.js" in (site / "components" / "motor.html").read_text(encoding="utf-8")
+    assert "overtorque" in (site / "search" / "search_index.js").read_text(encoding="utf-8")
+
+
+def test_the_manual_documents_every_kind_of_component(site):
+    for kind, cls in KINDS.items():
+        text = (site / "components" / f"{kind}.html").read_text(encoding="utf-8")
+        assert all(f"<code>{f.name}</code>" in text for f in fields(cls.parameters)), kind
+        assert all(f"<code>{v.name}</code>" in text for v in cls.variables), kind
+
+
+def test_the_manual_has_formulas_pictures_and_the_reference(site):
+    index = (site / "index.html").read_text(encoding="utf-8")
+    assert "<math" in index
+    assert "arithmatex" not in index
+    for page in site.rglob("*.html"):
+        for picture in re.findall(r'<img[^>]* src="([^"]+\.png)"', page.read_text(encoding="utf-8")):
+            assert (page.parent / picture).exists(), picture
+    assert len(list(site.glob("pictures/*.png"))) == 2
+    reference = (site / "reference.html").read_text(encoding="utf-8")
+    assert 'id="halfshaft.cosim.simulate.run"' in reference
+    assert "Length of the step" in reference

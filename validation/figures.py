@@ -73,38 +73,38 @@ Drawing = Sequence[Plot]
 
 def acceleration_drawings(r: Result) -> dict[str, Drawing]:
     """Return figures 2, 3, 5, 6 and 7 from the acceleration of a vehicle whose motor has a current limit."""
-    t, kmh = r.time, 3.6
+    t, kmh, kilo = r.time, 3.6, 1e-3
 
     def plot(y_label: str, y_end: float, step: float, legend: Place, *curves: Curve) -> Drawing:
         return [Plot(curves, "time (s)", y_label, 50, y_end, (10, step), legend=legend)]
 
     return {
         "2": plot(
-            "tractive force (N)", 2.5e4, 5e3, "upper right",
-            Curve(r"$F_\mathrm{req}\,/\,100$", t, r["body.F_required"] / 100, 1),
-            Curve(r"$F_\mathrm{req,lim}$", t, r["wheel.F_limited"], 3),
+            "tractive force (kN)", 25, 5, "upper right",
+            Curve("a hundredth of what is asked for", t, r["body.F_required"] * kilo / 100, 1),
+            Curve("what the tyres carry", t, r["wheel.F_limited"] * kilo, 3),
         ),
         "3": plot(
-            "vehicle speed (km/h)", 350, 50, (0.56, 0.69),
-            Curve(r"$v_\mathrm{trace}$", t, r["body.v_request"] * kmh, 0),
-            Curve(r"$v_\mathrm{req}$", t, r["wheel.v_required"] * kmh, 1),
-            Curve(r"$v_\mathrm{lim,req}$", t, r["wheel.v_limited"] * kmh, 2, "--"),
-            Curve(r"$v_\mathrm{act}$", t, r["body.v"] * kmh, 3),
+            "vehicle speed (km/h)", 350, 50, (0.24, 0.69),
+            Curve("trace", t, r["body.v_request"] * kmh, 0),
+            Curve("required mean speed", t, r["wheel.v_required"] * kmh, 1),
+            Curve("within the tyres' grip", t, r["wheel.v_limited"] * kmh, 2, "--"),
+            Curve("achieved", t, r["body.v"] * kmh, 3),
         ),
         "5": plot(
             "motor torque (N m)", 700, 100, "center right",
-            Curve(r"$\tau_\mathrm{mot,req}$", t, r["motor.tau_required"], 1),
-            Curve(r"$\tau_\mathrm{mot,lim,req}$", t, r["motor.tau_limited"], 3),
+            Curve("asked for", t, r["motor.tau_required"], 1),
+            Curve("within the motor's largest torque", t, r["motor.tau_limited"], 3),
         ),
         "6": plot(
             "motor speed (rad/s)", 1000, 200, "lower right",
-            Curve(r"$\omega_\mathrm{mot,req}$", t, r["motor.omega_required"], 1),
-            Curve(r"$\omega_\mathrm{mot,lim,req}$", t, r["motor.omega"], 3),
+            Curve("asked for", t, r["motor.omega_required"], 1),
+            Curve("within the motor's top speed", t, r["motor.omega"], 3),
         ),
         "7": plot(
-            "motor/controller input power (W)", 7e4, 1e4, "lower right",
-            Curve(r"$P_\mathrm{mot,in,map}$", t, r["motor.P_map"], 1),
-            Curve(r"$P_\mathrm{mot,in,req}$", t, r["motor.P_in_required"], 3),
+            "motor input power (kW)", 80, 10, "lower right",
+            Curve("by the motor's map", t, r["motor.P_map"] * kilo, 1),
+            Curve("within the controller's current limit", t, r["motor.P_in_required"] * kilo, 3),
         ),
     }  # fmt: skip
 
@@ -127,7 +127,7 @@ def deviations_drawing(runs: Mapping[str, Result]) -> Drawing:
     return [
         Plot(
             [Curve("", r.time, np.maximum(r["body.trace_miss"], 0) * 3.6, 3, width=1.3)],
-            "time (s)" if i == last else "", "speed (km/h)", 600, 20, (100, 10), [Name(name, 8, 15.5)], None,
+            "time (s)" if i == last else "", "behind (km/h)", 600, 20, (100, 10), [Name(name, 8, 15.5)], None,
         )
         for i, (name, r) in enumerate(runs.items())
     ]  # fmt: skip
@@ -140,9 +140,6 @@ def _draw(ax: Axes, plot: Plot, theme: Theme) -> None:
     ax.set_ylim(0, plot.y_end)
     ax.set_xticks(np.arange(0, plot.x_end * 1.001, plot.ticks[0]))
     ax.set_yticks(np.arange(0, plot.y_end * 1.001, plot.ticks[1]))
-    if plot.y_end >= 1e4:
-        ax.ticklabel_format(axis="y", style="sci", scilimits=(4, 4), useMathText=True)
-        ax.yaxis.get_offset_text().set(color=theme.faint, fontsize=9)
     ax.set_xlabel(plot.x_label, color=theme.ink)
     ax.set_ylabel(plot.y_label, color=theme.ink)
     ax.set_facecolor(theme.paper)
@@ -162,7 +159,8 @@ def _draw(ax: Axes, plot: Plot, theme: Theme) -> None:
 
 def png(drawing: Drawing, theme: Theme = LIGHT) -> bytes:
     """Return a figure as a PNG."""
-    figure = Figure(figsize=(6.0, 3.7 if len(drawing) == 1 else 5.2), facecolor=theme.paper, layout="constrained")
+    # Several plots over each other fill the width of a page.
+    figure = Figure(figsize=(6.0, 3.7) if len(drawing) == 1 else (12.0, 5.0), facecolor=theme.paper, layout="constrained")
     for ax, plot in zip(np.atleast_1d(np.asarray(figure.subplots(len(drawing), 1))), drawing, strict=True):
         _draw(ax, plot, theme)
         if len(drawing) > 1 and not plot.x_label:

@@ -1,20 +1,19 @@
 """Vehicle powertrains: equation-based models that run backward, forward and as FMUs."""
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from halfshaft.cosim.acceleration import accelerate
     from halfshaft.cosim.cycle import Cycle, cycle_names
     from halfshaft.cosim.fmu import build_fmu
+    from halfshaft.cosim.plot import plot_run
     from halfshaft.cosim.result import Result
     from halfshaft.cosim.simulate import run
     from halfshaft.library.errors import HalfshaftError, InputError
     from halfshaft.library.files import component_names
     from halfshaft.models.vehicle import Vehicle, vehicle_names
-
-__version__ = version("halfshaft")
 
 __all__ = [
     "Cycle",
@@ -27,6 +26,7 @@ __all__ = [
     "build_fmu",
     "component_names",
     "cycle_names",
+    "plot_run",
     "run",
     "vehicle_names",
 ]
@@ -42,18 +42,24 @@ _HOMES = {
     "build_fmu": "cosim.fmu",
     "component_names": "library.files",
     "cycle_names": "cosim.cycle",
+    "plot_run": "cosim.plot",
     "run": "cosim.simulate",
     "vehicle_names": "models.vehicle",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value = version("halfshaft")
+    elif name in _HOMES:
+        value = getattr(import_module(f"halfshaft.{_HOMES[name]}"), name)
+    else:
         raise AttributeError(f"module 'halfshaft' has no attribute '{name}'")
-    value = getattr(import_module(f"halfshaft.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *__all__})

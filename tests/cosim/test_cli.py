@@ -396,6 +396,31 @@ def test_show_gives_value_unit_and_meaning():
         assert expected in text
 
 
+def test_components_of_one_kind_are_listed_with_power_and_mass():
+    rows = {line.split()[0]: line.split() for line in done("list", "components", "--kind", "motor").splitlines() if "motor" in line}
+    assert rows.keys() >= set(halfshaft.component_names("motor"))
+    assert rows["ac-75kw"][1:4] == ["motor", "74.6", "91"]
+    assert "'moto' is not a kind of component, did you mean 'motor'?" in refused("list", "components", "--kind", "moto")
+    assert "goes with components, not with cycles" in refused("list", "cycles", "--kind", "motor")
+
+
+@pytest.mark.parametrize("name", ["small-car-series", "si-41kw", "small-car-conventional", "five-speed-map"])
+def test_show_prints_a_file_to_edit(name, tmp_path):
+    path = tmp_path / f"{name}.toml"
+    text = done("show", name, "--toml")
+    path.write_text(text)
+    assert done("show", path, "--toml") == text
+    assert "is a cycle, a CSV file" in refused("show", "us06", "--toml")
+
+
+def test_show_draws_the_maps_of_a_component(tmp_path):
+    path = tmp_path / "map.png"
+    assert f"wrote {path}" in done("show", "si-41kw", "--plot", path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert "only the maps of a component are drawn" in refused("show", "small-car-series", "--plot", path)
+    assert "there is no folder" in refused("show", "si-41kw", "--plot", tmp_path / "none" / "map.png")
+
+
 def test_show_reads_files(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('schema = 1\nkind = "vehicle"\nname = "mine"\ntitle = "Mine"\nbase = "small-car-electric"\n[set]\n"body.m" = "1.2 t"\n')

@@ -106,7 +106,8 @@ def test_doubts_about_cycle_and_vehicle_are_warnings_and_are_saved(result, tmp_p
 @pytest.mark.parametrize("car", ["small-car-electric", "small-car-series", "small-car-conventional"])
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_runs_are_drawn(car, suffix, tmp_path):
-    path = plot_run(run(Vehicle.load(car), Cycle.load("udds")), tmp_path / f"run.{suffix}")
+    path = tmp_path / f"run.{suffix}"
+    plot_run(run(Vehicle.load(car), Cycle.load("udds")), path=path)
     start = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix]
     assert path.read_bytes().startswith(start)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
@@ -116,19 +117,19 @@ def test_drawing_leaves_the_users_settings_alone(result, tmp_path):
     import matplotlib as mpl
 
     before = dict(mpl.rcParams)
-    plot_run(result, tmp_path / "run.png")
+    plot_run(result, path=tmp_path / "run.png")
     assert dict(mpl.rcParams) == before
 
 
 def test_a_full_disk_leaves_no_half_drawing(result, tmp_path, monkeypatch):
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
     with pytest.raises(InputError, match=r"run\.png: cannot be written: No space left on device"):
-        plot_run(result, tmp_path / "run.png")
+        plot_run(result, path=tmp_path / "run.png")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_without_history_cannot_be_drawn(tmp_path):
     summary = run(Vehicle.load("small-car-electric"), Cycle.load("us06"), history=False)
     with pytest.raises(InputError) as e:
-        plot_run(summary, tmp_path / "run.bmp")
+        plot_run(summary, path=tmp_path / "run.bmp")
     assert e.value.problems == ("a plot is written as .png, .svg, .pdf, not as '.bmp'", "the run has no time series to draw")

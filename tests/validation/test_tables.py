@@ -8,7 +8,7 @@ from halfshaft.cosim.simulate import run
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.validation import paper
 from halfshaft.validation.figures import acceleration_drawings, deviations_drawing, png
-from halfshaft.validation.report import report
+from halfshaft.validation.report import print_report, report
 from halfshaft.validation.reproduce import I_MAX, figure_facts
 
 CARS = {f"{m} kg": Vehicle.load(f"paper-series-{m}") for m in paper.MASSES}
@@ -70,7 +70,7 @@ def test_hybrid_errs_in_the_direction_of_the_paper(us06):
         assert error == pytest.approx(printed, abs=0.3)
 
 
-def test_figures_and_report_show_what_the_paper_names(us06):
+def test_figures_and_report_show_what_the_paper_names(us06, capsys):
     limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": I_MAX}), mode="hybrid").result
     accelerations = {mode: {n: accelerate(CARS[n], mode=mode).result for n in ("1459 kg",)} for mode in ("hybrid", "iteration")}
     cycles = {"hybrid": {"2393 kg": run(CARS["2393 kg"], us06)}}
@@ -93,6 +93,7 @@ def test_figures_and_report_show_what_the_paper_names(us06):
         key: [1.0, None, 1.0] if key in ("forward", "ratio") else [1.0, 1.0, 1.0]
         for key in ("hybrid", "forward", "ratio", "paper", "paper_forward", "paper_ratio")
     }
+    speed["ratio_spread"] = [(0.9, 1.2), None, (120.0, 350.0)]
     result = {
         "tables": {"2": some, "3": some, "4": some, "5": speed},
         "figures": json.loads(json.dumps(facts | {"9": {"largest_gap_kmh": 0.3}})),
@@ -103,3 +104,44 @@ def test_figures_and_report_show_what_the_paper_names(us06):
     assert page.count("<figure") == len(images)
     # Self-contained: images are embedded, nothing is fetched.
     assert "http" not in page
+    # A telephone shows that a table goes on; the figure of several plots fills the page.
+    assert page.count('<div class="scroll"><table') == 4
+    assert page.count('<figure class="card wide">') == 1
+
+    print_report(result)
+    text = capsys.readouterr().out
+    lines = text.splitlines()
+    assert max(map(len, lines)) < 200
+    for table, columns in (("2", CARS), ("3", CARS), ("4", ("0-100 km/h (s)", "US06 (kWh)")), ("5", paper.TABLE_5.rows)):
+        start = next(i for i, line in enumerate(lines) if line.startswith(f"Table {table}."))
+        assert all(name in lines[start + 2] for name in [*columns][:3])
+    assert "120 ... 350" in text
+    assert "! a < b" in text
+
+
+def test_axes_of_figures_are_in_the_units_of_a_reader(us06):
+    limited = accelerate(CARS["2393 kg"].with_values({"motor.I_max": I_MAX}), mode="hybrid").result
+    drawings = {**acceleration_drawings(limited), "10": deviations_drawing({"2393 kg": run(CARS["2393 kg"], us06)})}
+    plots = {number: drawing[0] for number, drawing in drawings.items()}
+    assert plots["7"].y_label == "motor input power (kW)"
+    assert plots["7"].curves[1].y.max() == pytest.approx(57, abs=0.5)
+    assert plots["2"].y_label == "tractive force (kN)"
+    assert plots["2"].curves[1].y.max() == pytest.approx(12.1, abs=0.1)
+    # What is drawn lies on the axes.
+    assert all(c.y.max() <= plot.y_end for plot in plots.values() for c in plot.curves)
+
+
+def test_reproduction_says_how_far_it_is(monkeypatch):
+    from halfshaft.validation import reproduce as module
+
+    # The steps are counted here, not what they compute.
+    monkeypatch.setattr(module, "METHODS", {"hybrid": ("hybrid", "step")})
+    monkeypatch.setattr(module, "_timed", lambda task, via: 2.0 if via == "forward" else 1.0)
+    monkeypatch.setattr(module, "speed_tasks", lambda: {"FUDS": lambda via: None})
+    monkeypatch.setattr(module, "_compared", lambda table, printed: table)
+    monkeypatch.setattr(module, "figure_facts", lambda *_: {})
+    said = []
+    found = module.reproduce(progress=said.append)
+    assert said == ["step 1 of 3: tables 2, 3 and 4: hybrid", "step 2 of 3: table 5: FUDS", "step 3 of 3: figures"]
+    assert found["tables"]["5"]["ratio"] == [2.0]
+    assert found["tables"]["5"]["ratio_spread"] == [(2.0, 2.0)]

@@ -1,0 +1,168 @@
+"""Makes at build what the manual does not hold as text: a page for each kind of component, pictures, formulas as MathML.
+
+A picture stands where a page says ``<!-- picture: name -->``; `PICTURES` says what it shows.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+import re
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, fields
+from functools import cache
+from typing import Any
+
+from latex2mathml.converter import convert
+from matplotlib.figure import Figure
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+from halfshaft import Cycle, Vehicle, component_names, plot_run, run
+from halfshaft.cosim.cli_show import any_component
+from halfshaft.cosim.maps import plot_maps
+from halfshaft.library.catalog import KINDS
+from halfshaft.library.component import Component
+from halfshaft.library.parameters import Parameters, Spec, spec_of
+from halfshaft.library.ports import Port
+from halfshaft.library.tables import Table
+
+PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def one_run() -> tuple[Figure, str]:
+    """Return the run of the overview."""
+    result = run(Vehicle.load("small-car-series"), Cycle.load("us06"))
+    return plot_run(result, panels=("speed", "power", "charge")), "A series hybrid on US06: speed, powers and charge"
+
+
+def overlaid() -> tuple[Figure, str]:
+    """Return the two masses of the tutorial."""
+    car, us06 = Vehicle.load("small-car-electric"), Cycle.load("us06")
+    results = run(car, us06), run(car.with_values({"body.m": 1500.0}), us06)
+    return plot_run(*results, panels=("speed", "motor.P_in", "battery.T")), "The electric car on US06 with two masses"
+
+
+PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {"one-run": one_run, "overlaid": overlaid}
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Add the generated pages to the navigation."""
+    assert config.nav is not None
+    config.nav.append({"Components": ["components/index.md", *({name: f"components/{name}.md"} for name in KINDS)]})
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages and pictures."""
+    made: dict[str, str | bytes] = {"components/index.md": index_page()}
+    for name in KINDS:
+        made[f"components/{name}.md"] = kind_page(name)
+        shown = first_with_maps(name)
+        if shown:
+            made[f"components/{name}.png"] = png(plot_maps(any_component(shown)))
+    made |= {f"pictures/{name}.png": png(picture(name)[0]) for name in PICTURES}
+    for path, content in made.items():
+        files.append(File.generated(config, path, content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Put pictures where a page names them."""
+    return PICTURE.sub(lambda m: f"![{picture(m[1])[1]}](pictures/{m[1]}.png)", markdown)
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Write formulas as MathML."""
+    return FORMULA.sub(lambda m: convert(m[2], display="inline" if m[1] == "span" else "block"), html)
+
+
+@cache
+def picture(name: str) -> tuple[Figure, str]:
+    """Return a picture and what it shows."""
+    return PICTURES[name]()
+
+
+def png(figure: Figure) -> bytes:
+    """Return a figure as a file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def first_with_maps(kind: str) -> str | None:
+    """Return the first component of the library with maps to draw."""
+    return next((name for name in component_names(kind) if any(isinstance(x, Table) for x in any_component(name).values.values())), None)
+
+
+def table(headings: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> str:
+    """Return a table in Markdown; empty without rows."""
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join(["| " + " | ".join(headings) + " |", "|---" * len(headings) + "|", *lines]) if lines else ""
+
+
+def text_of(docstring: str | None) -> str:
+    """Return a docstring as Markdown: its blocks after two colons are code."""
+    text = inspect.cleandoc(docstring or "")
+    return re.sub(r"^::\n", "", re.sub(r"(?<=\S)::$", ":", text, flags=re.MULTILINE), flags=re.MULTILINE)
+
+
+def kind_page(kind: str) -> str:
+    """Return the page of a kind of component, made from its class."""
+    cls = KINDS[kind]
+    shown = first_with_maps(kind)
+    sections = {
+        "": text_of(sys.modules[cls.__module__].__doc__),
+        "Parameters": table(("name", "unit", "meaning", "allowed", "default"), numbers_of(cls.parameters)),
+        "Maps": table(("name", "unit", "meaning", "axes", "outside of them"), maps_of(cls.parameters)),
+        "Map picture": f"![Maps of {shown}]({kind}.png)" if shown else "",
+        "Ports": table(("port", "toward", "carries"), ports_of(cls)),
+        "States": table(("state", "unit", "meaning"), ((f"`{s.name}`", s.unit, s.doc) for s in cls.states)),
+        "Outputs": table(("output", "unit", "meaning", "booked as"), ((f"`{v.name}`", v.unit, v.doc, v.booking) for v in cls.variables)),
+        "In the library": table(("component", "title"), ((f"`{name}`", any_component(name).title) for name in component_names(kind))),
+    }
+    body = [f"# {kind}", f'`kind = "{kind}"` in a file; class `{cls.__module__}.{cls.__name__}`.']
+    for heading, text in sections.items():
+        if text:
+            body += [f"## {heading}", text] if heading not in ("", "Map picture") else [text]
+    return "\n\n".join(body) + "\n"
+
+
+def index_page() -> str:
+    """Return the list of all kinds."""
+    rows = ((f"[{kind}]({kind}.md)", inspect.getdoc(cls) or "", str(len(component_names(kind)))) for kind, cls in KINDS.items())
+    listed = table(("kind", "what it is", "in the library"), rows)
+    return f"# Components\n\nThe kinds of components; each page is made from its class.\n\n{listed}\n"
+
+
+def default_of(value: Any, spec: Spec) -> str:
+    """Return a default as text."""
+    return "" if value is MISSING else ", ".join(f"{x:g}" for x in value) if spec.row else f"{value:g}"
+
+
+def numbers_of(kind: type[Parameters]) -> Iterator[tuple[str, ...]]:
+    """Yield the numbers and rows of a parameter set."""
+    for f in fields(kind):
+        spec = spec_of(f)
+        if not spec.axes:
+            name = f"`{f.name}`" + (" (row)" if spec.row else "")
+            yield name, spec.unit, spec.doc, spec.allowed().replace("<", "&lt;"), default_of(f.default, spec)
+
+
+def maps_of(kind: type[Parameters]) -> Iterator[tuple[str, ...]]:
+    """Yield the maps of a parameter set."""
+    for f in fields(kind):
+        spec = spec_of(f)
+        if spec.axes:
+            axes = ", ".join(f"`{a.name}`" if a.unit == "1" else f"`{a.name}` [{a.unit}]" for a in spec.axes)
+            yield f"`{f.name}`", spec.unit, spec.doc, axes, "clipped" if spec.clip else "extrapolated"
+
+
+def ports_of(cls: type[Component]) -> Iterator[tuple[str, ...]]:
+    """Yield the ports of a component."""
+    for name, port in cls.ports().items():
+        assert isinstance(port, Port)
+        yield f"`{name}`", f"the {port.side}", port.kind.__name__.lower()

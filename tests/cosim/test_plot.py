@@ -1,0 +1,126 @@
+"""Pictures of runs: what panels there are, what they show, and whose axes they use."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from halfshaft import Cycle, InputError, Vehicle, plot_run, run
+from halfshaft.cosim.plot import _labels
+
+
+@cache
+def done(car="small-car-electric", cycle="us06", **values):
+    vehicle = Vehicle.load(car)
+    return run(vehicle.with_values({f"body.{k}": x for k, x in values.items()}) if values else vehicle, Cycle.load(cycle))
+
+
+def labels_of(figure):
+    return [ax.get_ylabel() for ax in figure.axes]
+
+
+def texts_of(figure):
+    return [text.get_text() for text in figure.texts]
+
+
+@pytest.mark.parametrize(
+    ("car", "cycle", "panels"),
+    [
+        ("small-car-electric", "us06", ["speed [km/h]", "power [kW]", "charge [%]"]),
+        ("small-car-conventional", "us06", ["speed [km/h]", "power [kW]", "gear"]),
+        ("small-car-series", "hwfet-mtn", ["speed [km/h]", "grade [%]", "power [kW]", "charge [%]"]),
+    ],
+)
+def test_a_run_has_the_panels_of_its_parts_and_road(car, cycle, panels):
+    figure = plot_run(done(car, cycle))
+    assert isinstance(figure, Figure)
+    assert labels_of(figure) == [*panels, ""]
+    assert figure.axes[-1].get_title(loc="left") == "Where the energy went [Wh]"
+
+
+@pytest.mark.parametrize(
+    ("car", "powers"),
+    [
+        ("small-car-electric", ["motor input", "battery"]),
+        ("small-car-series", ["engine", "motor input", "battery"]),
+        ("small-car-conventional", ["engine"]),
+    ],
+)
+def test_the_powers_are_those_of_sources_and_of_the_machine_at_the_wheels(car, powers):
+    (ax,) = plot_run(done(car), panels="power").axes
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == powers
+
+
+def test_the_grade_is_that_of_the_road():
+    result = done("small-car-series", "hwfet-mtn")
+    road = Cycle.load("hwfet-mtn").grade_by_distance
+    (ax,) = plot_run(result, panels="grade").axes
+    (line, _) = ax.lines
+    there = np.isfinite(line.get_ydata())
+    assert there.sum() > 700
+    # The step reads the road at its start, and climbs by the sine where the grade is the tangent.
+    before = np.concatenate([[0.0], result["body.distance"][:-1]])
+    assert np.allclose(line.get_ydata()[there], 100 * np.interp(before, *road)[there], atol=1e-6)
+
+
+def test_runs_over_each_other_have_one_line_each_and_their_names():
+    runs = [done("small-car-electric"), done("small-car-series"), done("small-car-conventional")]
+    figure = plot_run(*runs)
+    labels = ["speed [km/h]", "engine [kW]", "motor input [kW]", "battery [kW]", "charge [%]", "gear", ""]
+    assert labels_of(figure) == labels
+    assert [len(ax.lines) for ax in figure.axes[1:6]] == [2, 2, 2, 2, 1]
+    # The request is common, so it is there once.
+    assert len(figure.axes[0].lines) == 4
+    assert {"3 runs", "us06, hybrid step of 1 s", *(r.inputs.vehicle for r in runs)} <= set(texts_of(figure))
+
+
+def test_names_of_runs_say_what_differs():
+    light, heavy, other = done(), done(m=1600), done(cycle="nycc")
+    assert _labels([light, other]) == ["us06", "nycc"]
+    assert _labels([light, heavy]) == ["body.m = 1144", "body.m = 1600"]
+    assert _labels([light, light, heavy]) == ["body.m = 1144 (1)", "body.m = 1144 (2)", "body.m = 1600"]
+    assert _labels([light, heavy, other]) == ["us06, body.m = 1144", "us06, body.m = 1600", "nycc, body.m = 1144"]
+    assert {"before", "after"} <= set(texts_of(plot_run(light, heavy, labels=["before", "after"])))
+
+
+def test_any_output_is_a_panel_in_the_units_of_a_reader():
+    result = done()
+    figure = plot_run(result, panels=("battery.T", "motor.P_out"))
+    assert labels_of(figure) == ["battery.T [\u00b0C]", "motor.P_out [kW]"]
+    assert np.allclose(figure.axes[0].lines[0].get_ydata(), result["battery.T"] - 273.15)
+    assert np.allclose(figure.axes[1].lines[0].get_ydata(), result["motor.P_out"] / 1000)
+
+
+@pytest.mark.parametrize(("copies", "unit", "end"), [(1, "s", 600.0), (4, "min", 40.0), (30, "h", 5.0)])
+def test_long_runs_count_minutes_or_hours(copies, unit, end):
+    us06 = Cycle.load("us06")
+    speed = np.concatenate([[0.0], *[us06.speed[1:]] * copies])
+    result = run(Vehicle.load("small-car-conventional"), replace(us06, time=np.arange(len(speed)) * 1.0, speed=speed))
+    (ax,) = plot_run(result, panels="speed").axes
+    assert ax.get_xlabel() == f"time [{unit}]"
+    assert ax.get_xlim() == pytest.approx((0.0, end))
+
+
+def test_axes_of_the_user_are_drawn_into():
+    figure = Figure()
+    one, two = figure.subplots(2)
+    assert plot_run(done(), panels=("speed", "charge"), axes=(one, two)) is figure
+    assert (one.get_ylabel(), two.get_ylabel()) == ("speed [km/h]", "charge [%]")
+    assert len(figure.axes) == 2
+    assert plot_run(done(), panels="energy", axes=one) is figure
+
+
+def test_a_notebook_shows_the_picture():
+    assert plot_run(done(), panels="speed")._repr_png_().startswith(b"\x89PNG")
+
+
+def test_what_cannot_be_drawn_is_said_at_once():
+    with pytest.raises(InputError) as e:
+        plot_run(done(), panels=("sped", "gear"), axes=Figure().subplots())
+    assert e.value.problems[0] == "there is no panel 'sped', did you mean 'speed'?"
+    assert e.value.problems[1].startswith("there is no panel 'gear'")
+    assert e.value.problems[2] == "1 axes for 2 panels: sped, gear"
+    with pytest.raises(InputError, match="8 runs, at most 7 can be told apart\n  3 labels for 8 runs"):
+        plot_run(*[done()] * 8, labels=["a", "b", "c"])
