@@ -95,10 +95,10 @@ class Battery(Component):
     states = (
         State("charge_drawn", "C", "charge drawn from the full pack", shown=True),
         State("T", "K", "temperature of the modules", shown=True),
+        State("soc", "1", "state of charge", shown=True),
         State("U_supply", "V", "voltage at the end of the previous step", signal=True),
     )
     variables = (
-        Variable("soc", "1", "state of charge"),
         Variable("U", "V", "terminal voltage", signal=True),
         Variable("I", "A", "current"),
         Variable("P_stored", "W", "power drawn from the chemical store", "stored"),
@@ -112,7 +112,7 @@ class Battery(Component):
         """Return the start values."""
         p = self.p
         drawn = (1 - p.soc_start) * self.capacity(p.T_start)
-        return {"charge_drawn": drawn, "T": p.T_start, "U_supply": p.n_modules * p.u_oc(p.T_start, p.soc_start)}
+        return {"charge_drawn": drawn, "T": p.T_start, "soc": p.soc_start, "U_supply": p.n_modules * p.u_oc(p.T_start, p.soc_start)}
 
     def capacity(self, T: Expr) -> Expr:
         """Return the charge of a full pack [C]."""
@@ -164,7 +164,7 @@ class Battery(Component):
         limits = self.limits_at(soc, T, motor)
         return {"P_battery_max": limits.P_max, "P_battery_min": limits.P_min, "soc_before": soc, "_limits": limits}
 
-    @face("dc", "soc", "U", "I", "P_stored", "P_loss", "battery_limited", "next_charge_drawn", "next_T", "next_U_supply")
+    @face("dc", "next_soc", "U", "I", "P_stored", "P_loss", "battery_limited", "next_charge_drawn", "next_T", "next_U_supply")
     def available(self, dc: Electric, _limits: Limits, soc_before: Expr, charge_drawn: Expr, T: Expr, dt: Expr) -> Mapping[str, Any]:
         """Return the power that the battery gives."""
         P = ca.fmin(dc.P, ca.fmax(0, _limits.P_max))
@@ -178,7 +178,7 @@ class Battery(Component):
         return {
             # Inside the limits the power is what was asked for, not I U, so that nothing is lost to rounding.
             "dc": Electric(where(limited, U * current, dc.P)),
-            "soc": self.soc(next_drawn, next_T),
+            "next_soc": self.soc(next_drawn, next_T),
             "U": U,
             "I": current,
             "P_stored": rates["P_stored"],

@@ -23,7 +23,7 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, Face
+from halfshaft.library.component import Component, Face, Variable
 from halfshaft.library.ports import SHOWN
 from halfshaft.models.assembly import Description, Step, symbolic
 from halfshaft.models.model import Model
@@ -145,7 +145,7 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
     rates = ca.vertcat(*(values["derivative", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
     shown = [(Description(d.name, d.unit, d.doc), symbol) for d, symbol in zip(states, x, strict=True)]
     for name, part in symbols.parts.items():
-        for v in part.all_variables():
+        for v in (*part.all_variables(), *(Variable(s.name, s.unit, s.doc) for s in part.states)):
             if (key := ("variable", name, v.name)) in values and key not in known:
                 described = Description(f"{name}.{v.name}", v.unit, v.doc, v.kind, booking=v.booking)
                 shown.append((described, values[key]))

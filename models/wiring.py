@@ -125,7 +125,8 @@ class Wiring:
                 gives[name] = ("derivative", part, name[4:])
             elif name == "balance":
                 gives[name] = ("balance", part, name)
-            elif name in variables:
+            elif name in variables or any(name == s.name for s in self.parts[part].states if s.shown):
+                # What the step keeps as a state, a plant may work out.
                 gives[name] = ("variable", part, name)
             elif name in laws:
                 gives[name] = ("law", part, name)

@@ -193,7 +193,7 @@ def test_a_pack_stores_the_coulombic_share_of_what_it_is_charged_with():
     current = (400 - np.sqrt(400**2 + 4 * 0.1 * 10e3)) / 0.2
     assert given["I"] == pytest.approx(current, rel=1e-12)
     assert given["next_charge_drawn"] - 5e5 == pytest.approx(0.9 * current, rel=1e-9)
-    assert given["soc"] - 0.5 == pytest.approx(-0.9 * current / 1e6, rel=1e-9)
+    assert given["next_soc"] - 0.5 == pytest.approx(-0.9 * current / 1e6, rel=1e-9)
     assert given["P_loss"] == pytest.approx(0.1 * current**2 + 0.1 * 400 * abs(current), rel=1e-9)
 
 

@@ -85,7 +85,11 @@ def test_step_size_is_called_fixed_only_where_it_is(fmi, driven, self_contained)
 def test_outputs_depend_on_no_input_and_start_values_on_their_parameters(fmi, driven, self_contained, tmp_path):
     car = build_vehicle(Vehicle.load("small-car-series"), tmp_path / "car.fmu", fmi=fmi)
     speed = {"body.v": "body.v_start"}
-    battery = {"battery.soc": "battery.soc_start", "battery.T": "battery.T_start"}
+    battery = {
+        "battery.charge_drawn": "battery.capacity_scale battery.soc_start battery.T_start",
+        "battery.soc": "battery.soc_start",
+        "battery.T": "battery.T_start",
+    }
     for path, found in ((driven, speed), (self_contained, speed), (car, speed | battery)):
         d = fmpy.read_model_description(str(path))
         outputs = [v.name for v in d.modelVariables if v.causality == "output"]
