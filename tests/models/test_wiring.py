@@ -210,8 +210,8 @@ class StartsFromNothing(WithoutNext):
     def one(self, warm):
         return {"next_warm": warm}
 
-    def start(self, socc):
-        return {"warm": socc}
+    def start(self, speed_rato):
+        return {"warm": speed_rato}
 
 
 class StartsShort(StartsFromNothing):
@@ -244,7 +244,7 @@ class ReturnsMore(NeverGiven):
         (Misspelt, ["extra.one reads the signal shiftng, which no part publishes, did you mean 'shifting'?"]),
         (Shadowing, ["extra declares the state v, which is a signal of body; its own would hide it"]),
         (NamedLikeARequest, ["extra declares the state grade, which every part can read as the request or law of that name"]),
-        (StartsFromNothing, ["extra.start reads socc, which is no state and no law of any part, did you mean 'soc'?"]),
+        (StartsFromNothing, ["extra.start reads speed_rato, which is no state and no law of any part, did you mean 'speed_ratio'?"]),
         (StartsShort, ["extra.start gives no warm"]),
         (ReturnsLess, ["extra.one returns no heat, which it declares to give"]),
         (ReturnsMore, ["extra.one returns light, which it does not declare to give"]),
