@@ -160,8 +160,8 @@ def _holds(quantity: Quantity, values: Array) -> bool:
 def _columns(path: Path | Traversable, titles: Sequence[str], line: int, known: Mapping[str, Quantity]) -> tuple[list[Column], int]:
     problems, columns = [], []
     if not any(re.search("[^\\W\\d]", title) for title in titles):
-        names = ", ".join(q.needed for q in known.values() if q.needed)
-        raise InputError(str(path), [f"line {line} holds numbers; a line with the names of the columns must come first: {names}"])
+        wanted = ", ".join(q.needed for q in known.values() if q.needed)
+        raise InputError(str(path), [f"line {line} holds numbers; a line with the names of the columns must come first: {wanted}"])
     for place, title in enumerate(titles):
         plain = _plain(title)
         if plain in UNUSED:
