@@ -68,6 +68,9 @@ class Audit:
     checks: tuple[Check, ...]
     negative: tuple[Negative, ...]
 
+    def __repr__(self) -> str:
+        return f"<Audit {len(self.checks)} laws: {'; '.join(self.failures) or 'all hold'}>"
+
     @property
     def failures(self) -> tuple[str, ...]:
         """What does not hold, with part and time; empty for a run to be trusted."""

@@ -159,6 +159,9 @@ def _holds(quantity: Quantity, values: Array) -> bool:
 
 def _columns(path: Path | Traversable, titles: Sequence[str], line: int, known: Mapping[str, Quantity]) -> tuple[list[Column], int]:
     problems, columns = [], []
+    if not any(re.search("[^\\W\\d]", title) for title in titles):
+        wanted = ", ".join(q.needed for q in known.values() if q.needed)
+        raise InputError(str(path), [f"line {line} holds numbers; a line with the names of the columns must come first: {wanted}"])
     for place, title in enumerate(titles):
         plain = _plain(title)
         if plain in UNUSED:
@@ -217,7 +220,7 @@ def _wrong(
         row = [entry.strip(' "') for entry in line.split(separator)]
         points.append(math.nan)
         if len(row) != width:
-            commas = "; decimal commas need semicolons between the columns" if separator == "," and len(row) == 2 * width else ""
+            commas = "; decimal commas need semicolons between the columns" if separator == "," and width < len(row) <= 2 * width else ""
             problems.append(f"line {i} has {len(row)} entries, must have {width}{commas}")
             continue
         for c in columns:

@@ -34,6 +34,9 @@ class Text(NamedTuple):
     sha256: str
     text: str
 
+    def __repr__(self) -> str:
+        return f"<Text of the {self.kind} {self.name}: {len(self.text)} characters, sha256 {self.sha256[:12]}>"
+
 
 class Ratings(NamedTuple):
     """Energy of all batteries and peak power of all motors of a vehicle; None if it has none."""
@@ -70,6 +73,9 @@ class Origin:
     machine: str
     versions: Mapping[str, str]
     ratings: Ratings
+
+    def __repr__(self) -> str:
+        return f"<Origin {self.vehicle.name} over {self.cycle.name}: {self.date}, halfshaft {self.versions.get('halfshaft', '?')}>"
 
     def plain(self) -> dict[str, Any]:
         """Return what JSON can hold."""

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
 from halfshaft.cosim.compiled import Array
@@ -310,11 +311,23 @@ def _title(figure: Figure, runs: _Runs) -> None:
     for i, (result, _, colour, label) in enumerate(runs.coloured()):
         y = 1 - (0.57 + 0.24 * i) / height
         if runs.one:
-            figure.text(x, y, "   \u00b7   ".join(_facts(result)), va="baseline", color=SOFT)
+            line = figure.text(x, y, "   \u00b7   ".join(_facts(result)), va="baseline", color=SOFT)
+            line.set_fontsize(9.0 * min(1.0, (width - _LEFT - _RIGHT) / _wide(line)))
         else:
             figure.add_artist(Line2D([x, x + 0.2 / width], [y + 0.045 / height] * 2, color=colour, lw=2.2))
-            figure.text(x + 0.3 / width, y, label, va="baseline")
-            figure.text(1 - _RIGHT / width, y, "  \u00b7  ".join(_facts(result)[1:]), va="baseline", ha="right", color=SOFT)
+            named = figure.text(x + 0.3 / width, y, label, va="baseline")
+            told = figure.text(1 - _RIGHT / width, y, "", va="baseline", ha="right", color=SOFT)
+            room, (_, *said) = width - _LEFT - _RIGHT - 0.5 - _wide(named), _facts(result)
+            # As many as have room beside the name, the first ones first.
+            for n in range(len(said), -1, -1):
+                told.set_text("  \u00b7  ".join(said[:n]))
+                if _wide(told) <= room:
+                    break
+
+
+def _wide(text: Text) -> float:
+    """Return the width of a text [in]."""
+    return text.get_window_extent(dpi=72.0).width / 72.0
 
 
 def _over_time(ax: Axes, runs: _Runs, label: str) -> None:

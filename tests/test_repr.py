@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from halfshaft import Cycle, Vehicle
+from halfshaft import Cycle, Vehicle, run
 from halfshaft.library.files import component_names, read_component
 from halfshaft.library.tables import Table
 
@@ -43,6 +43,13 @@ def well_formed(html):
 )
 def test_a_prompt_shows_one_line(thing, text):
     assert repr(thing) == text
+
+
+def test_a_prompt_shows_what_a_run_was_made_of_and_its_audit_in_one_line():
+    result = run(Vehicle.load("small-car-electric"), Cycle.load("us06"))
+    assert repr(result.origin).startswith("<Origin small-car-electric over us06: 20")
+    assert repr(result.origin.cycle).startswith("<Text of the cycle us06: ")
+    assert repr(result.audit) == f"<Audit {len(result.audit.checks)} laws: all hold>"
 
 
 def test_a_prompt_shows_parameters_without_the_values_of_maps():

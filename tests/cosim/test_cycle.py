@@ -352,6 +352,8 @@ def test_files_of_other_tools_are_read(tmp_path, name):
             "time_s,mps,colour\n0,0,0\n",
             "line 1: column 'colour' is not known; if it is none of time, speed, grade, elevation, key_on, delete it",
         ),
+        ("time_s,mps\n0,0\n10,2,5\n", "line 3 has 3 entries, must have 2; decimal commas need semicolons between the columns"),
+        ("0,0\n1,5\n", "line 1 holds numbers; a line with the names of the columns must come first: time_s, speed_mps"),
         ("time_s,mps\n0,0\n1,5,2,5\n", "line 3 has 4 entries, must have 2; decimal commas need semicolons between the columns"),
         ("time,mps\n2024-01-01T10:00:00Z,0\n", "line 2: time = '2024-01-01T10:00:00Z', must be a number; write seconds since the start"),
         (

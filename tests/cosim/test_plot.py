@@ -85,6 +85,14 @@ def test_names_of_runs_say_what_differs():
     assert {"before", "after"} <= set(texts_of(plot_run(light, heavy, labels=["before", "after"])))
 
 
+@pytest.mark.parametrize("others", [(), ("small-car-electric",), ("small-car-series-follower",)])
+def test_no_line_of_the_head_leaves_the_picture_or_meets_another(others):
+    figure = plot_run(done("small-car-series"), *(done(car, "hwfet-mtn") for car in others), panels="speed")
+    extents = [text.get_window_extent() for text in figure.texts if text.get_text()]
+    assert all(e.x0 >= 0 and e.x1 <= figure.bbox.width for e in extents)
+    assert not any(a.overlaps(b) for i, a in enumerate(extents) for b in extents[:i])
+
+
 def test_any_output_is_a_panel_in_the_units_of_a_reader():
     result = done()
     figure = plot_run(result, panels=("battery.T", "motor.P_out"))
