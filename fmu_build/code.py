@@ -57,6 +57,10 @@ _FLAGS = {
     ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_NE: "{0} != {1}",
     ca.OP_NOT: "!{0}", ca.OP_AND: "{0} && {1}", ca.OP_OR: "{0} || {1}",
 }  # fmt: skip
+_LOGIC = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+#: A flag, 0 or 1, is its own square and no less than zero.
+_KEEP_FLAG = (ca.OP_SQ, ca.OP_FMAX)
+_ZERO = f"({(0.0).hex()})"
 #: Names of values in the lines that are written.
 _NAME = re.compile(r"\b[ct]\d+\b")
 
@@ -110,6 +114,16 @@ class _Writer:
             one, other = (self.chosen.get(p) for p in parts)
             if one and other and self.negated.get(other[0]) == one[0]:
                 return self._line(f"{one[0]} ? {one[1]} : {other[1]}", parts)
+        if op in _LOGIC:
+            parts = [self._flag(p) for p in parts]
+        elif op == ca.OP_IF_ELSE_ZERO:
+            parts = [self._flag(parts[0]), parts[1]]
+        flag = next((p for p in parts if p in self.flags), "")
+        if flag and op in _KEEP_FLAG and all(p in (flag, _ZERO) for p in parts):
+            return flag
+        if flag and op == ca.OP_MUL:
+            # A choice costs less than to make a number of the flag.
+            op, parts = ca.OP_IF_ELSE_ZERO, [flag, parts[1] if parts[0] == flag else parts[0]]
         if op in _FLAGS:
             name = self._line(_FLAGS[op].format(*parts), parts, "int")
             self.flags.add(name)
@@ -120,6 +134,14 @@ class _Writer:
         if op == ca.OP_IF_ELSE_ZERO:
             self.chosen[name] = (parts[0], parts[1])
         return name
+
+    def _flag(self, name: str) -> str:
+        """Return whether a value is not zero: found once, of parameters before the march."""
+        if name in self.flags or name.startswith("("):
+            return name
+        flag = self._line(f"{name} != 0", [name], "int")
+        self.flags.add(flag)
+        return flag
 
     def _line(self, c: str, parts: Sequence[str], kind: str = "double") -> str:
         if c in self.known:

@@ -149,10 +149,11 @@ class Engine(Component):
         geared_speed = where(follows, command_before * speed_ratio * ratio / ratio_before, omega_command)
         # A genset speeds up no faster than with all of its torque.
         reached = where(geared, geared_speed, ca.fmin(omega_command, omega_own + per_tau * self.tau_max(omega_own)))
-        omega = ca.fmax(ca.fmin(where(clutch_open, free, reached), self.omega_max), omega_idle * engine_on)
+        estimate = where(clutch_open, free, reached)
+        omega = ca.fmax(ca.fmin(estimate, self.omega_max), omega_idle * engine_on)
         return {
             "omega_engine": omega,
-            "next_omega_free": where(clutch_open, free, omega),
+            "next_omega_free": where(clutch_open, estimate, omega),
             "next_command_before": omega_command,
             "next_ratio_before": ratio,
         }
