@@ -45,7 +45,7 @@ class Driver:
     #: Shortest time between two shifts [s]; in the step only a shift down after a shift up waits so long.
     t_hold: float = 2.0
     #: Below this speed [m/s] a driver who wants to stop leaves the pedals and holds the vehicle with all brakes.
-    v_stop: float = 0.1
+    v_stop: float = 0.05
 
 
 @dataclass(frozen=True)
