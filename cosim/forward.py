@@ -26,10 +26,10 @@ from halfshaft.models.model import Model
 
 #: Energies are integrated in kJ: the absolute tolerance, 1e-4 J, is then far below what an interval turns over.
 ENERGY = 1e3
-#: No vehicle accelerates faster [m/s^2].
-FASTEST = 1e6
 #: Shortest interval that is cut in two where the integrator stops at a kink of a table [s].
 SHORTEST = 1e-6
+#: No command asks for an acceleration beyond this [m/s^2].
+A_MOST = 1e6
 
 
 @dataclass(frozen=True)
@@ -132,13 +132,11 @@ class Forward:
             # The step knows no negative speed.
             memory[places[speed]] = 0.0 if stopped else max(0.0, x[speed])
             memory, outputs = self.stepper(memory, np.array([asked, grade, samples.key_on[k], dt, 0.0]), parameters)
-            if abs(outputs[miss]) < 1e-6 and samples.v[k] > 0:
-                integral += error * dt
-            elif samples.v[k] == 0:
-                integral = 0.0
             held = outputs[held_at]
             if stopped:
-                held[brakes] = -np.inf
+                integral, held[brakes] = 0.0, -np.inf
+            elif abs(outputs[miss]) < 1e-6:
+                integral += error * dt
             p = np.concatenate([held, [grade, samples.key_on[k]], parameters])
             x, a, gained = self._interval(x, a, p, samples.t[k] - dt, dt)
             quads += gained
@@ -153,7 +151,7 @@ class Forward:
 
     def _interval(self, x: Array, a: float, p: Array, t: float, span: float) -> tuple[Array, float, Array]:
         """Integrate over a time with held commands."""
-        a = self._acceleration(x, a, p)
+        a = self._acceleration(x, a, p, t)
         rates = np.array(self._rates(x, a, p)).ravel()
         said = io.StringIO()
         try:
@@ -162,31 +160,42 @@ class Forward:
         except RuntimeError as error:
             _interrupt(said)
             if span < SHORTEST:
-                message = str(error).splitlines()[-1]
-                raise SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[0]:g} m/s: {message}") from None
+                raise self._error(x, t, str(error).splitlines()[-1]) from None
             middle, a, first = self._interval(x, a, p, t, span / 2)
             end, a, second = self._interval(middle, a, p, t + span / 2, span / 2)
             return end, a, first + second
         _interrupt(said)
         return np.array(r["xf"]).ravel() + rates * span, float(r["zf"]), np.array(r["qf"]).ravel() * ENERGY
 
-    def _acceleration(self, x: Array, guess: float, p: Array) -> float:
-        """Return the acceleration that balances the commands; the balance falls with it."""
-        from scipy.optimize import brentq  # takes a third of a second
+    def _acceleration(self, x: Array, guess: float, p: Array, t: float) -> float:
+        """Return the acceleration that balances the commands, by regula falsi; the balance falls with it, but has kinks."""
+        at, commands = ca.DM(x), ca.DM(p)
 
         def balance(a: float) -> float:
-            return float(self._balance(a, x, p))
+            return float(self._balance(a, at, commands))
 
-        ends = []
-        for sign in (-1, 1):
-            reach = 0.01
-            while sign * balance(guess + sign * reach) > 0 and reach < FASTEST:
-                reach *= 4
-            ends.append(guess + sign * reach)
-        try:
-            return float(brentq(balance, *ends, xtol=1e-13))
-        except ValueError as error:
-            raise SolveError(f"{self.plant.name}: no acceleration balances the commands at v = {x[0]:g} m/s") from error
+        width, low = 0.01, guess
+        at_low = balance(low)
+        high = low + width * np.sign(at_low)
+        while (at_high := balance(high)) * at_low > 0:
+            width *= 4
+            low, at_low, high = high, at_high, high + width * np.sign(at_high)
+            if not abs(high) < A_MOST:
+                raise self._error(x, t, "no acceleration balances the commands")
+        while at_high != 0 and abs(high - low) > 1e-12:
+            middle = high - at_high * (high - low) / (at_high - at_low)
+            at_middle = balance(middle)
+            if at_middle * at_high < 0:
+                low, at_low = high, at_high
+            else:
+                at_low /= 2
+            if middle == high:
+                break
+            high, at_high = middle, at_middle
+        return float(high)
+
+    def _error(self, x: Array, t: float, message: str) -> SolveError:
+        return SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[0]:g} m/s: {message}")
 
 
 def _interrupt(said: io.StringIO) -> None:

@@ -34,8 +34,10 @@ from halfshaft.library.tables import Axis, Table
 
 TEMPERATURE, CHARGE = Axis("T", "K"), Axis("soc", "1")
 
-#: A pack counts as full from here on.
-SOC_FULL = 0.999
+#: A pack counts as empty up to here, and as full from here on.
+SOC_EMPTY, SOC_FULL = 1e-3, 0.999
+#: Charge over which the limits of an empty or full pack set in, in the forward-facing model.
+SOC_FADE = 1e-4
 #: Square of the least root of (2) over U_oc; its slope stays finite at the largest power, and beyond.
 ROOT_FLOOR = 1e-12
 #: Specific heat of the cooling air [J/(kg.K)].
@@ -138,7 +140,7 @@ class Battery(Component):
         P_max = ca.fmax(0, (U_oc - U_min) * U_min / (scale * p.r_discharge(T, soc)))
         I_min = ca.fmin(0, (U_oc - N * p.u_max) / (scale * p.r_charge(T, soc)))
         P_min = I_min * (U_oc - I_min * scale * p.r_charge(T, soc))
-        return Limits(where(soc > 1e-3, P_max, 0), where(soc < SOC_FULL, P_min, 0), I_min)
+        return Limits(where(soc > SOC_EMPTY, P_max, 0), where(soc < SOC_FULL, P_min, 0), I_min)
 
     def rates(self, circuit: Circuit, current: Expr, T: Expr) -> dict[str, Expr]:
         """Return the rates of the states and the powers, equations (3) to (5)."""
@@ -216,6 +218,6 @@ class Battery(Component):
             "I": current,
             "P_stored": rates["P_stored"],
             "P_loss": rates["P_loss"],
-            "P_room_out": limits.P_max - dc.P,
-            "P_room_in": dc.P - limits.P_min,
+            "P_room_out": clip((soc - SOC_EMPTY) / SOC_FADE, 0, 1) * limits.P_max - dc.P,
+            "P_room_in": dc.P - clip((SOC_FULL - soc) / SOC_FADE, 0, 1) * limits.P_min,
         }

@@ -98,5 +98,5 @@ class Clutch(TwoSided):
         return {
             "input": Shaft(output.tau, omega_engine, 0.0),
             "P_loss": output.tau * (omega_engine - output.omega),
-            "balance": ca.fmax(ca.fmin(tau - output.tau, tau_grip_out), -tau_grip_in),
+            "balance": ca.fmax(ca.fmin(tau - output.tau, ca.fmax(tau_grip_out, -output.tau)), ca.fmin(-tau_grip_in, -output.tau)),
         }

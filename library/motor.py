@@ -166,6 +166,7 @@ class Motor(TwoSided):
         tau = where(throttle_motor >= 0, throttle_motor * highest * fade, -throttle_motor * lowest)
         scale = ca.fmax(ca.fabs(_omega), 10)
         P_max = self.p.I_max * U
-        more = ca.fmin(ca.fmin(P_room_out, P_max - _P) / scale, tau_grip_out)
-        less = -ca.fmin(ca.fmin(P_room_in, P_max + _P) / scale, tau_grip_in)
+        # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
+        more = ca.fmax(ca.fmin(ca.fmin(P_room_out, P_max - _P) / scale, tau_grip_out), -_tau)
+        less = ca.fmin(-ca.fmin(ca.fmin(P_room_in, P_max + _P) / scale, tau_grip_in), -_tau)
         return {"balance": ca.fmax(ca.fmin(tau - _tau, more), less)}
