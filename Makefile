@@ -10,7 +10,7 @@ COMPILER := $(if $(shell command -v cc || command -v gcc || command -v clang),,c
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test lint validate bench reproduce docs clean
+.PHONY: help demo test lint validate mutate bench reproduce docs clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "%-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -30,6 +30,9 @@ lint: .venv/.installed-dev  ## check style, format and types
 
 validate: .venv/.installed-dev  ## run the slow checks: against the forward-facing model, and of broken files
 	$(BIN)/python -m pytest -n 2 validation
+
+mutate: .venv/.installed-dev  ## change 200 places of the program, one at a time, and see which no test notices (hours)
+	$(BIN)/python -m halfshaft.validation.mutate
 
 bench: .venv/.installed-bench  ## time the step and compare it with FASTSim
 	$(BIN)/halfshaft bench

@@ -140,7 +140,8 @@ class TwoSided(Component):
             for link in links:
                 way.append(link.law(way[-1]))
                 if link.name:
-                    named.update({f"{k}_{link.name}": v for k, v in way[-1]._asdict().items()})
+                    fields = {f"{k}_{link.name}": v for k, v in way[-1]._asdict().items()}
+                    named.update({k: v for k, v in fields.items() if k in names})
             handed = tuple(zip(links, way, way[1:], strict=False))
             return {source.name: way[-1], "_way": handed, **named, **self.found(handed)}
 
@@ -179,7 +180,8 @@ class TwoSided(Component):
 
         def flow(**x: Any) -> Mapping[str, Any]:
             point, booked = self.continuous(x.pop(load.name), self.chain(**x))
-            return {source.name: point, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"]}
+            powers = {"P_loss": booked["loss"], "P_kinetic": booked["kinetic"]}
+            return {source.name: point, **{name: powers[name] for name in books}}
 
         yield Face("flow", (load.name, *takes), optional, (source.name, *books), flow)
 

@@ -11,6 +11,7 @@ constants of the build, brought in by `functions`: as interpolants, or as compil
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from halfshaft.library.component import Component
+from halfshaft.library.errors import WiringError
 from halfshaft.library.parameters import Relation, bind, numbers, tables
 from halfshaft.library.ports import MEANINGS, SHOWN, UNITS
 from halfshaft.library.tables import BoundTable, Table, interpolants
@@ -198,6 +200,9 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
     values = wiring.evaluate(known)
     following = ca.vertcat(*(values["next", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
     outputs = [o for o in _described_outputs(model, wired.parts, states) if o[1] in values]
+    twice = [name for name, n in Counter(d.name for d, *_ in outputs).items() if n > 1]
+    if twice:
+        raise WiringError(model.name, [f"{name} is an output twice: a variable or state, and what is shown of a port" for name in twice])
     shown = ca.vertcat(*(values[key] if not field else getattr(values[key], field) for _, key, field in outputs))
 
     start = wiring.start()

@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+from halfshaft.library.catalog import KINDS
 from halfshaft.library.component import Component, Face, arguments
 from halfshaft.library.errors import WiringError, nearest
+from halfshaft.library.links import TwoSided
 from halfshaft.models.model import Model
 
 #: Where a value lives: what it is, the part that it belongs to (empty for the model's own), its name.
@@ -51,12 +54,13 @@ class Wiring:
         self.model, self.parts = model, parts
         problems = model.check()
         self.bus = self._signals(problems)
+        self._shapes(problems)
         self.states = {name: {s.name for s in part.states} for name, part in parts.items()}
         self._ends: dict[tuple[str, str], tuple[str, str]] = {}
         for c in model.connections:
             self._ends[c.load, c.load_port.name] = self._ends[c.supply, c.supply_port.name] = (c.supply, c.supply_port.name)
         self.faces = [self._bind(name, face, problems) for name, part in parts.items() for face in self.faces_of(part)]
-        self.maker = {key: bound for bound in self.faces for key in bound.gives.values()}
+        self.maker = self._makers(problems)
         self.finish(problems)
         if problems:
             raise WiringError(model.name, problems)
@@ -66,11 +70,50 @@ class Wiring:
         return part.faces()
 
     def finish(self, problems: list[str]) -> None:
-        """Check that everything taken is given."""
+        """Check that everything taken, and everything declared, is given."""
         for bound in self.faces:
             for name, key in bound.takes.items():
                 if key[0] not in ("state", "request", "law of the model") and key not in self.maker:
                     problems.append(f"{bound} takes {name}, but nothing gives {key[1]}.{key[2]} ({key[0]})")
+        for name, part in self.parts.items():
+            in_plant = {given for face in part.plant_faces() for given in face.gives}
+            declared = [("variable", v.name, v.name) for v in part.all_variables()]
+            declared += [("law", law, law) for law in part.laws if law not in in_plant]
+            declared += [("next", s.name, f"next_{s.name}") for s in part.states]
+            lost = [(what, given) for kind, what, given in declared if (kind, name, what) not in self.maker]
+            problems += [f"{name} declares {what}, but no face gives {given}" for what, given in lost]
+
+    def _makers(self, problems: list[str]) -> dict[Key, Bound]:
+        """Return which face gives what."""
+        maker: dict[Key, Bound] = {}
+        for bound in self.faces:
+            for name, key in bound.gives.items():
+                if (first := maker.setdefault(key, bound)) is not bound:
+                    problems.append(f"{first} and {bound} both give {name}; one of them must")
+        return maker
+
+    def _shapes(self, problems: list[str]) -> None:
+        """Check what each part declares, by itself and beside the signals of the others."""
+        for name, part in self.parts.items():
+            for side in ("wheel", "source") if isinstance(part, TwoSided) else ():
+                ports = [p.name for p in part.ports().values() if p.side == side]
+                if len(ports) != 1:
+                    found = " and ".join(ports) or "no port"
+                    problems.append(f"{name} has {found} toward the {side}; a {type(part).__name__} is two-sided and has one")
+            own = {s.name: "state" for s in part.states} | {v.name: "variable" for v in part.all_variables()}
+            for what, kind in own.items():
+                if kind == "state" and what in (*REQUESTS, *LAWS):
+                    problems.append(f"{name} declares the state {what}, which every part can read as the request or law of that name")
+                elif (owner := self.bus.get(what, ("", name, ""))[1]) not in (name, ""):
+                    problems.append(f"{name} declares the {kind} {what}, which is a signal of {owner}; its own would hide it")
+
+    @cached_property
+    def _publishable(self) -> set[str]:
+        """Signals that some kind of component publishes, in this model or another; only these may be absent."""
+        kinds = {*KINDS.values(), *(type(part) for part in self.parts.values())}
+        variables = {v.name for kind in kinds for v in kind.variables if v.signal}
+        states = {s.name for kind in kinds for s in kind.states if s.signal}
+        return variables | states | {law for kind in kinds for law in kind.laws}
 
     def _signals(self, problems: list[str]) -> dict[str, Key]:
         found: list[tuple[str, Key]] = []
@@ -111,8 +154,9 @@ class Wiring:
                 takes[name] = ("law of the model", "", name)
             elif name in self.bus:
                 takes[name] = self.bus[name]
-            elif name not in face.optional:
-                problems.append(f"{part}.{face.name} reads the signal {name}, which no part publishes{nearest(name, self.bus)}")
+            elif name not in face.optional or name not in self._publishable:
+                known = self._publishable if name in face.optional else self.bus
+                problems.append(f"{part}.{face.name} reads the signal {name}, which no part publishes{nearest(name, known)}")
         for name in face.gives:
             if name.startswith("_"):
                 gives[name] = ("private", part, name)
@@ -159,6 +203,11 @@ class Wiring:
             for key in bound.takes.values():
                 need(key, (*path, bound))
             given = bound.face.run(**{name: values[key] for name, key in bound.takes.items()})
+            if given.keys() != bound.gives.keys():
+                lost, surplus = sorted(bound.gives.keys() - given.keys()), sorted(given.keys() - bound.gives.keys())
+                slips = [f"{bound} returns no {name}, which it declares to give" for name in lost]
+                slips += [f"{bound} returns {name}, which it does not declare to give" for name in surplus]
+                raise WiringError(self.model.name, slips)
             for name, key in bound.gives.items():
                 values.setdefault(key, given[name])
             done.add(id(bound))
@@ -175,13 +224,19 @@ class Wiring:
         """Return the start value of every state."""
         laws = [key for key, bound in self.maker.items() if key[0] == "law" and bound.face.name == "law"]
         values = self.evaluate({}, laws)
-        waiting = dict(self.parts)
-        while waiting:
+        waiting, problems = dict(self.parts), list[str]()
+        for name, part in self.parts.items():
+            unknown = [a for a in arguments(part.start)[0] if self.bus.get(a, ("",))[0] not in ("state", "law")]
+            problems += [f"{name}.start reads {a}, which is no state and no law of any part{nearest(a, self.bus)}" for a in unknown]
+        while waiting and not problems:
             ready = {name: part for name, part in waiting.items() if all(self.bus[a] in values for a in arguments(part.start)[0])}
             if not ready:
-                raise WiringError(self.model.name, [f"start values form a loop: {', '.join(waiting)}"])
+                problems.append(f"start values form a loop: {', '.join(waiting)}")
             for name, part in ready.items():
                 given = part.start(**{a: values[self.bus[a]] for a in arguments(part.start)[0]})
-                values |= {("state", name, s.name): given[s.name] for s in part.states}
+                problems += [f"{name}.start gives no {s.name}" for s in part.states if s.name not in given]
+                values |= {("state", name, s.name): given.get(s.name, 0.0) for s in part.states}
                 del waiting[name]
+        if problems:
+            raise WiringError(self.model.name, problems)
         return values

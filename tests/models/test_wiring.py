@@ -7,7 +7,7 @@ from halfshaft.cosim.account import account
 from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.forward import Forward
-from halfshaft.library.component import Component, Variable, face
+from halfshaft.library.component import Component, State, Variable, face
 from halfshaft.library.errors import WiringError
 from halfshaft.library.links import TwoSided, drag, inertia
 from halfshaft.library.parameters import Parameters, param
@@ -133,6 +133,160 @@ def test_what_a_face_gives_must_be_declared():
 
     found = problems(assemble, electric({**PARTS, "careless": Careless(BearingParameters())}))
     assert found == ["careless.warm gives heat, which Careless does not declare"]
+
+
+def with_extra(component):
+    """Return the electric car with one more part, which has no port."""
+    return electric({**PARTS, "extra": component(BearingParameters())})
+
+
+@dataclass(frozen=True)
+class Extra(Component):
+    """Base of parts that hang on signals alone."""
+
+    p: BearingParameters
+    parameters = BearingParameters
+
+
+HEAT = Variable("heat", "W", "heat")
+MEMORY = State("warm", "1", "whether it is warm")
+
+
+class GivenTwice(Extra):
+    variables = (HEAT,)
+
+    @face("heat")
+    def one(self, v):
+        return {"heat": v}
+
+    @face("heat")
+    def other(self, v):
+        return {"heat": 2 * v}
+
+
+class NeverGiven(Extra):
+    variables = (HEAT,)
+    laws = ("cold",)
+
+
+class WithoutNext(Extra):
+    states = (MEMORY,)
+
+
+class Misspelt(Extra):
+    variables = (HEAT,)
+
+    @face("heat")
+    def one(self, v, shiftng=0.0):
+        return {"heat": v * shiftng}
+
+
+class Absent(Extra):
+    variables = (HEAT,)
+
+    @face("heat")
+    def one(self, v, clutch_slipping=1.0):
+        return {"heat": v * clutch_slipping}
+
+
+class Shadowing(Extra):
+    states = (State("v", "m/s", "a speed of its own"),)
+
+    @face("next_v")
+    def one(self, v):
+        return {"next_v": v}
+
+
+class NamedLikeARequest(Extra):
+    states = (State("grade", "1", "a grade of its own"),)
+
+    @face("next_grade")
+    def one(self, grade):
+        return {"next_grade": grade}
+
+
+class StartsFromNothing(WithoutNext):
+    @face("next_warm")
+    def one(self, warm):
+        return {"next_warm": warm}
+
+    def start(self, speed_rato):
+        return {"warm": speed_rato}
+
+
+class StartsShort(StartsFromNothing):
+    def start(self):
+        return {}
+
+
+class ReturnsLess(NeverGiven):
+    laws = ()
+
+    @face("heat")
+    def one(self, v):
+        return {}
+
+
+class ReturnsMore(NeverGiven):
+    laws = ()
+
+    @face("heat")
+    def one(self, v):
+        return {"heat": v, "light": v}
+
+
+@pytest.mark.parametrize(
+    ("component", "found"),
+    [
+        (GivenTwice, ["extra.one and extra.other both give heat; one of them must"]),
+        (NeverGiven, ["extra declares heat, but no face gives heat", "extra declares cold, but no face gives cold"]),
+        (WithoutNext, ["extra declares warm, but no face gives next_warm"]),
+        (Misspelt, ["extra.one reads the signal shiftng, which no part publishes, did you mean 'shifting'?"]),
+        (Shadowing, ["extra declares the state v, which is a signal of body; its own would hide it"]),
+        (NamedLikeARequest, ["extra declares the state grade, which every part can read as the request or law of that name"]),
+        (StartsFromNothing, ["extra.start reads speed_rato, which is no state and no law of any part, did you mean 'speed_ratio'?"]),
+        (StartsShort, ["extra.start gives no warm"]),
+        (ReturnsLess, ["extra.one returns no heat, which it declares to give"]),
+        (ReturnsMore, ["extra.one returns light, which it does not declare to give"]),
+    ],
+)
+def test_each_slip_of_a_part_is_named_with_its_place(component, found):
+    assert problems(assemble, with_extra(component)) == found
+
+
+def test_a_signal_of_a_part_that_is_not_there_may_be_absent():
+    assert "extra.heat" in assemble(with_extra(Absent)).output_index
+
+
+def test_slips_of_several_parts_come_in_one_error():
+    parts = {**PARTS, "one": GivenTwice(BearingParameters()), "two": WithoutNext(BearingParameters())}
+    assert problems(assemble, electric(parts)) == [
+        "one.one and one.other both give heat; one of them must",
+        "two declares warm, but no face gives next_warm",
+    ]
+
+
+def test_a_two_sided_part_has_one_port_a_side():
+    class Forked(Bearing):
+        other = Port(Shaft, "source", optional=True)
+
+    assert problems(assemble, electric_with_bearing(Forked(BearingParameters()))) == [
+        "bearing has input and other toward the source; a Forked is two-sided and has one"
+    ]
+
+
+def test_no_output_is_named_twice():
+    @dataclass(frozen=True)
+    class Doubled(Bearing):
+        variables = (Variable("omega", "rad/s", "its speed, which the port shows as well"),)
+
+        @face("omega")
+        def one(self, v):
+            return {"omega": v}
+
+    assert problems(assemble, electric_with_bearing(Doubled(BearingParameters()))) == [
+        "bearing.omega is an output twice: a variable or state, and what is shown of a port"
+    ]
 
 
 @dataclass(frozen=True)
