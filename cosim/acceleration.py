@@ -19,7 +19,7 @@ from halfshaft.cosim.compiled import CompiledStep, Mode
 from halfshaft.cosim.cycle import acceleration_cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run, stepper_of
-from halfshaft.library.errors import InputError, number
+from halfshaft.library.errors import InputError, not_a, number
 from halfshaft.models.vehicle import Vehicle
 
 #: Speed that is asked for [m/s].
@@ -94,12 +94,15 @@ def accelerate(
     Raises
     ------
     InputError
-        If the target is not above zero and below the request of 322 km/h.
+        If the vehicle is none, or the target is not above zero and below the request of 322 km/h.
 
     """
     to, duration = number(to), None if duration is None else number(duration)
+    problems = not_a(Vehicle, vehicle=vehicle)
     if not 0 < to < REQUEST:
-        raise InputError("acceleration", [f"target speed {to * 3.6:g} km/h, must be > 0 and < 322 km/h"])
+        problems.append(f"target speed {to * 3.6:g} km/h, must be > 0 and < 322 km/h")
+    if problems:
+        raise InputError("acceleration", problems)
     car = prepared(vehicle)
     if mode is None:
         mode = "refined" if via == "step" and isinstance(stepper_of(car), CompiledStep) else "hybrid"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import chdir, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Grades, Samples
 from halfshaft.cosim.fmu import build_driven, uneven_grid
 from halfshaft.fmu_build.variables import Version
-from halfshaft.library.errors import InputError, SolveError
+from halfshaft.library.errors import CompileError, InputError, SolveError
 from halfshaft.models.assembly import Step
 
 
@@ -44,7 +44,7 @@ def march_fmu(step: Step, samples: Samples, parameters: Array, dt: float, fmi: V
     InputError
         If the last step is shorter than the others.
     CompileError
-        If there is no C compiler.
+        If there is no C compiler, or nothing may be executed in the folder of temporary files.
     SolveError
         If the FMU reports an error.
 
@@ -102,7 +102,13 @@ class _Slave:
         description = fmpy.read_model_description(str(folder))
         self._references = {v.name: v.valueReference for v in description.modelVariables}
         self._name, self._fmi = path.name, fmi
-        self._fmu: Any = instantiate_fmu(str(folder), description, "CoSimulation", debug_logging=True, logger=self._heard)
+        try:
+            # Where a library cannot be loaded, FMPy stays in its folder, and has no error of its own.
+            with chdir(Path.cwd()):
+                self._fmu: Any = instantiate_fmu(str(folder), description, "CoSimulation", debug_logging=True, logger=self._heard)
+        except Exception as error:
+            cure = "files of the folder for temporary files must be executable, set TMPDIR to another"
+            raise CompileError(f"{self._name} cannot be loaded: {error}; {cure}") from error
         self._set, self._get = (
             (self._fmu.setReal, self._fmu.getReal) if fmi == 2 else (self._fmu.setFloat64, self._fmu.getFloat64)
         )  # fmt: skip

@@ -9,7 +9,7 @@ from halfshaft.cosim.cycle import Cycle, Samples, cycle_names
 from halfshaft.fmu_build import package
 from halfshaft.fmu_build.code import compiled_tables, step_code
 from halfshaft.fmu_build.variables import SHORTEST_STEP, CycleTable, Version
-from halfshaft.library.errors import InputError, number
+from halfshaft.library.errors import InputError, not_a, number
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle
@@ -39,6 +39,9 @@ def build_fmu(vehicle: Vehicle, path: str | Path, *, fmi: Version, cycle: Cycle 
         If there is no C compiler.
 
     """
+    wrong = not_a(Vehicle, vehicle=vehicle) + ([] if cycle is None else not_a(Cycle, cycle=cycle))
+    if wrong:
+        raise InputError("FMU", wrong)
     problems = fmu_problems(fmi, cycle, dt)
     if problems:
         raise InputError(f"FMU of '{vehicle.name}'", problems)

@@ -19,7 +19,7 @@ from halfshaft.cosim.memory import check_memory
 from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.cosim.ways import Via as Via
-from halfshaft.library.errors import InputError, nearest, number
+from halfshaft.library.errors import InputError, nearest, not_a, number
 from halfshaft.library.parameters import tables
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
@@ -146,11 +146,7 @@ def _beyond_maps(vehicle: Vehicle, highest: Mapping[str, float], last: Mapping[s
 
 def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> float:
     """Return the length of the step as a number, or raise an error with all that is wrong with the arguments of a run."""
-    problems = [
-        f"{name} must be a {kind.__name__}, such as {kind.__name__}.load('{example}'), not {type(value).__name__}"
-        for name, value, kind, example in (("vehicle", vehicle, Vehicle, "small-car-electric"), ("cycle", cycle, Cycle, "udds"))
-        if not isinstance(value, kind)
-    ]
+    problems = not_a(Vehicle, vehicle=vehicle) + not_a(Cycle, cycle=cycle)
     for name, value, known in (("via", via, get_args(Via)), ("mode", mode, MODES)):
         if not (isinstance(value, str) and value in known):
             problems.append(f"{name} = {value!r}, must be one of {', '.join(known)}{nearest(str(value), known)}")

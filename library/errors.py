@@ -110,3 +110,9 @@ def number(given: Any) -> float:
         return float(given)
     except (TypeError, ValueError, OverflowError):
         return math.nan
+
+
+def not_a(kind: type, **given: Any) -> list[str]:
+    """Return what is wrong with arguments that must be of a kind that is loaded by name, such as a vehicle."""
+    name = kind.__name__
+    return [f"{k} must be a {name}, from {name}.load(...), not {type(v).__name__}" for k, v in given.items() if not isinstance(v, kind)]

@@ -1,10 +1,12 @@
+import os
+
 import numpy as np
 import pytest
 
 from halfshaft.cosim.by_fmu import march_fmu
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
-from halfshaft.library.errors import InputError, SolveError
+from halfshaft.library.errors import CompileError, InputError, SolveError
 from halfshaft.models.vehicle import Vehicle
 
 CARS = ("small-car-electric", "small-car-series", "small-car-conventional")
@@ -89,3 +91,15 @@ def test_what_an_fmu_says_is_in_the_error(fmi):
     parameters[0] = -1.0
     with pytest.raises(SolveError, match=r"initialization.*body\.m = -1 kg, must be >"):
         march_fmu(step, samples, parameters, 1.0, fmi)
+
+
+def test_a_folder_where_nothing_may_be_executed_is_said(monkeypatch):
+    def refuse(path):
+        raise OSError(f"{path}: failed to map segment from shared object")
+
+    car, us06, here = Vehicle.load("small-car-electric"), Cycle.load("us06"), os.getcwd()
+    run(car, us06)
+    monkeypatch.setattr("fmpy.fmi1.cdll.LoadLibrary", refuse)
+    with pytest.raises(CompileError, match=r"electric\.fmu cannot be loaded: .*failed to map segment.*set TMPDIR"):
+        run(car, us06, via="fmu3")
+    assert os.getcwd() == here

@@ -159,7 +159,7 @@ def test_an_interpreted_run_looks_at_its_outputs_too():
         ({"dt": "fast"}, ["dt = fast s"]),
         ({"dt": 10**400}, ["must be a number > 0 s"]),
         ({"dt": float("inf"), "mode": "rough"}, ["dt = inf s", "mode = 'rough'"]),
-        ({"vehicle": "small-car-electric", "cycle": "udds"}, ["vehicle must be a Vehicle, such as Vehicle.load", "cycle must be a Cycle"]),
+        ({"vehicle": "small-car-electric", "cycle": "udds"}, ["vehicle must be a Vehicle, from Vehicle.load(...)", "cycle must be a"]),
         ({"via": "forward", "mode": "refined"}, ["mode refined runs via step only"]),
     ],
 )
@@ -168,6 +168,16 @@ def test_arguments_of_a_run_are_checked_together(arguments, messages):
         run(**{"vehicle": CAR, "cycle": Cycle.load("im240"), **arguments})
     for message in messages:
         assert message in str(caught.value)
+
+
+def test_a_name_is_no_vehicle_and_no_cycle_wherever_one_is_asked_for(tmp_path):
+    vehicle = "vehicle must be a Vehicle, from Vehicle.load(...), not str"
+    with pytest.raises(InputError) as caught:
+        accelerate("small-car-electric", to="fast")
+    assert caught.value.problems == (vehicle, "target speed nan km/h, must be > 0 and < 322 km/h")
+    with pytest.raises(InputError) as caught:
+        build_fmu("small-car-electric", tmp_path / "car.fmu", fmi=3, cycle="udds")
+    assert caught.value.problems == (vehicle, "cycle must be a Cycle, from Cycle.load(...), not str")
 
 
 @pytest.mark.parametrize("dt", [np.float32(0.5), np.float64(0.5), np.array(0.5), "0.5"])
