@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from halfshaft import __version__
 from halfshaft.cosim.audit import Audit, Auditor
 from halfshaft.cosim.compiled import MODES, Array, InterpretedStep, Mode, Stepper, integrals, stepper
 from halfshaft.cosim.cycle import Cycle, Samples
-from halfshaft.cosim.forward import Driver, Forward
 from halfshaft.cosim.memory import check_memory
 from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
@@ -24,6 +23,9 @@ from halfshaft.library.parameters import tables
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from halfshaft.cosim.forward import Forward
 
 
 class Build:
@@ -62,6 +64,9 @@ def audit_of(vehicle: Vehicle, samples: Samples, rows: Array) -> Audit:
 
 @lru_cache(maxsize=8)
 def _forward(build: Build) -> Forward:
+    # Only here, because a run of the step needs nothing of it.
+    from halfshaft.cosim.forward import Forward
+
     return Forward(model_of(build.vehicle), build.vehicle.title)
 
 
@@ -198,10 +203,9 @@ def _run_forward(
     cycle: Cycle,
     inputs: Inputs,
     made: Made,
-    driver: Driver = Driver(),  # noqa: B008
 ) -> Result:
     forward = _forward(Build(vehicle))
-    samples = _sampled(cycle, driver.dt, len(forward.plant.shown))
+    samples = _sampled(cycle, forward.driver.dt, len(forward.plant.shown))
     parameters = parameters_of(vehicle, forward.stepper.step, samples.v_start)
     done = forward.run(samples, parameters)
     outputs = (

@@ -9,7 +9,7 @@ import pytest
 
 from halfshaft.library import files
 
-HEAVY = ("casadi", "fmpy", "h5netcdf", "matplotlib", "numpy", "pandas", "pint", "scipy", "xarray")
+HEAVY = ("casadi", "fmpy", "h5netcdf", "halfshaft.cosim.forward", "matplotlib", "numpy", "pandas", "pint", "scipy", "xarray")
 
 
 def imported(*arguments: str) -> set[str]:

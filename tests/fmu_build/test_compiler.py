@@ -228,7 +228,14 @@ def test_an_interrupted_build_leaves_nothing(cache, tmp_path):
     begun = tmp_path / "begun"
     code = f"from halfshaft.fmu_build.compiler import shared_library; shared_library({SOURCE!r}, 'twice', {HEADERS!r})"
     environment = {**os.environ, "CC": str(slow), "BEGUN": str(begun)}
-    run = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL, start_new_session=True)
+    run = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env=environment,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        # A shell that runs the tests in the background lets them inherit that interrupts are ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     for _ in range(600):
         if begun.exists():
             break

@@ -46,7 +46,6 @@ def test_a_link_stays_and_what_it_points_to_is_written(tmp_path):
     ("name", "message"),
     [
         ("pipe", "is a device or a pipe, must be a file"),
-        ("/dev/null", "is a device or a pipe, must be a file"),
         (".", "is a folder, must be a file"),
         ("loop", "cannot be written: Too many levels of symbolic links"),
         ("missing/run.nc", "there is no folder"),
@@ -62,7 +61,7 @@ def test_what_is_no_file_is_refused_and_stays(name, message, tmp_path):
     (tmp_path / "plain").touch()
     before = sorted(tmp_path.iterdir())
     with pytest.raises(InputError, match=message):
-        write(f"{tmp_path}/{name}" if not name.startswith("/") else name)
+        write(f"{tmp_path}/{name}")
     assert sorted(tmp_path.iterdir()) == before
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 
