@@ -25,7 +25,6 @@ from halfshaft.cosim.cli_output import (
     print_run,
     print_run_json,
     print_written,
-    solver_noise,
 )
 from halfshaft.cosim.units import SYSTEMS, Units
 from halfshaft.cosim.ways import Mode, Via
@@ -153,7 +152,7 @@ def _run(
 
         checks.problem(*(f"--plot {plot}: {p}" for p in plot_problems(plot)))
     car, trace = checks.done(car), checks.done(trace)
-    with busy(f"{VIA[via]}: {car.name} over {trace.name}"), solver_noise():
+    with busy(f"{VIA[via]}: {car.name} over {trace.name}"):
         result = run(car, trace, via=via, dt=dt, mode=mode)
     if out is not None:
         with busy(f"writing {out}"):
@@ -206,7 +205,7 @@ def _accelerate(
     runs: dict[str, Acceleration] = {}
 
     def go(title: str, mode: Mode | None, via: Via) -> Acceleration:
-        with busy(f"{title}: full acceleration of {car.name}"), solver_noise():
+        with busy(f"{title}: full acceleration of {car.name}"):
             return accelerate(car, to=v, mode=mode, via=via)
 
     best = go(mode or "best effort", mode, "step")
@@ -285,7 +284,7 @@ def _reproduce(
     checks = _Checks()
     checks.folder(out, "--out")
     checks.raise_problems()
-    with busy("reproducing the paper") as progress, solver_noise():
+    with busy("reproducing the paper") as progress:
         found = reproduce(out, progress)
     if as_json:
         print_json(found)
@@ -307,7 +306,7 @@ def _reproduce(
 def _bench(as_json: Json = False) -> None:
     from halfshaft.validation.bench import bench
 
-    with busy("timing") as progress, solver_noise():
+    with busy("timing") as progress:
         found = bench(progress)
     if as_json:
         print_json(found)

@@ -11,7 +11,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -158,13 +158,6 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=terminal, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
         task = progress.add_task(what, total=None)
         yield lambda text: progress.update(task, description=text)
-
-
-@contextmanager
-def solver_noise() -> Iterator[None]:
-    """Keep what the integrator says to itself from the terminal; what matters is in the error."""
-    with redirect_stderr(io.StringIO()):
-        yield
 
 
 def print_json(found: Mapping[str, Any]) -> None:

@@ -8,6 +8,8 @@ request is out of reach (anti-windup).
 
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,8 +24,12 @@ from halfshaft.models.assembly import all_tables
 from halfshaft.models.forward import Plant, assemble_plant
 from halfshaft.models.model import Model
 
-#: Where a command jumps onto a kink of a table, IDAS may fail to start from the very solution; it then starts beside it [m/s^2].
-NUDGES = (0.01, -0.01, 0.1, -0.1, 0.5, -0.5)
+#: Energies are integrated in kJ: the absolute tolerance, 1e-4 J, is then far below what an interval turns over.
+ENERGY = 1e3
+#: No vehicle accelerates faster [m/s^2].
+FASTEST = 1e6
+#: Shortest interval that is cut in two where the integrator stops at a kink of a table [s].
+SHORTEST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -38,10 +44,8 @@ class Driver:
     t_shift: float = 0.2
     #: Shortest time between two shifts [s]; in the step only a shift down after a shift up waits so long.
     t_hold: float = 2.0
-    #: Below this speed [m/s] a driver who wants to stop leaves the pedals and holds the vehicle with the brakes, at this
-    #: share of its weight.
+    #: Below this speed [m/s] a driver who wants to stop leaves the pedals and holds the vehicle with all brakes.
     v_stop: float = 0.05
-    hold: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -66,17 +70,24 @@ class Forward:
         except CompileError:
             functions = interpolants(tables)
         self.plant: Plant = assemble_plant(model, self.stepper.step, functions)
+        x, a, p = (self.plant.dae[name] for name in ("x", "z", "p"))
+        self._rates = ca.Function("rates", [x, a, p], [self.plant.dae["ode"]])
+        self._balance = ca.Function("balance", [a, x, p], [self.plant.dae["alg"]])
+        # IDAS starts from rates of zero.  Seen from a frame that moves with the rates of the start they are zero, so that it
+        # can begin at the solution and need not search for it.
+        t, span, rates = ca.SX.sym("t"), ca.SX.sym("span"), ca.SX.sym("rates", x.numel())
+        ode, alg, quad = (ca.substitute(self.plant.dae[name], x, x + rates * span * t) for name in ("ode", "alg", "quad"))
+        moving = {"t": t, "x": x, "z": a, "p": ca.vertcat(p, rates, span)}
+        moving |= {"ode": span * (ode - rates), "alg": alg, "quad": span * quad / ENERGY}
         options = {
             "reltol": reltol,
             "abstol": reltol,
-            "calc_ic": True,
+            "calc_ic": False,
             "suppress_algebraic": True,
             "quad_err_con": True,
             "max_num_steps": 100000,
         }
-        self._advance = ca.integrator("advance", "idas", dict(self.plant.dae), 0, driver.dt, options)
-        dae = self.plant.dae
-        self._balance = ca.Function("balance", [dae["z"], dae["x"], dae["p"]], [dae["alg"]])
+        self._advance = ca.integrator("advance", "idas", moving, 0, 1, options)
 
     def run(self, samples: Samples, parameters: Array) -> ForwardRun:
         """Drive over `samples` of the trace, which must be spaced by the driver's ``dt``.
@@ -100,7 +111,7 @@ class Forward:
         distance = [d.name for d in plant.states].index("body.distance")
         elevation = [d.name for d in plant.states].index("body.elevation")
         speed = [d.name for d in plant.states].index("body.v")
-        brake = plant.held.index("wheel.F_brake_front")
+        brakes = [i for i, name in enumerate(plant.held) if name.startswith("wheel.F_brake")]
         weight = np.array([step.parameter_index[f"body.{name}"] for name in ("m", "g")])
 
         x, a, integral = memory[places].copy(), 0.0, 0.0
@@ -117,7 +128,9 @@ class Forward:
             asked = max(0.0, x[0] + a_asked * dt)
             stopped = samples.v[k] == 0 and x[0] < driver.v_stop
             if stopped:
-                asked = memory[places[speed]] = 0.0
+                asked = 0.0
+            # The step knows no negative speed.
+            memory[places[speed]] = 0.0 if stopped else max(0.0, x[speed])
             memory, outputs = self.stepper(memory, np.array([asked, grade, samples.key_on[k], dt, 0.0]), parameters)
             if abs(outputs[miss]) < 1e-6 and samples.v[k] > 0:
                 integral += error * dt
@@ -125,9 +138,9 @@ class Forward:
                 integral = 0.0
             held = outputs[held_at]
             if stopped:
-                held[brake] = -driver.hold * parameters[weight].prod()
+                held[brakes] = -np.inf
             p = np.concatenate([held, [grade, samples.key_on[k]], parameters])
-            x, a, gained = self._interval(x, a, p, samples.t[k] - dt)
+            x, a, gained = self._interval(x, a, p, samples.t[k] - dt, dt)
             quads += gained
             rows[k] = np.array(self.plant.outputs(x, a, p)).ravel()
             v_before = samples.v[k]
@@ -138,22 +151,45 @@ class Forward:
         energies["body.P_climb"] = m * g * (x[elevation] - x_start[elevation])
         return ForwardRun(samples.t, rows, energies, x)
 
-    def _interval(self, x: Array, a: float, p: Array, t: float) -> tuple[Array, float, Array]:
-        """Integrate to the next sample with held commands."""
-        message = ""
-        for offset in (None, 0.0, *NUDGES):
-            z = a if offset is None else self._acceleration(x, p) + offset
-            try:
-                r = self._advance(x0=x, z0=z, p=p)
-                return np.array(r["xf"]).ravel(), float(r["zf"]), np.array(r["qf"]).ravel()
-            except RuntimeError as error:
+    def _interval(self, x: Array, a: float, p: Array, t: float, span: float) -> tuple[Array, float, Array]:
+        """Integrate over a time with held commands."""
+        a = self._acceleration(x, a, p)
+        rates = np.array(self._rates(x, a, p)).ravel()
+        said = io.StringIO()
+        try:
+            with redirect_stderr(said):
+                r = self._advance(x0=x, z0=a, p=np.concatenate([p, rates, [span]]))
+        except RuntimeError as error:
+            _interrupt(said)
+            if span < SHORTEST:
                 message = str(error).splitlines()[-1]
-        raise SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[0]:g} m/s: {message}")
+                raise SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[0]:g} m/s: {message}") from None
+            middle, a, first = self._interval(x, a, p, t, span / 2)
+            end, a, second = self._interval(middle, a, p, t + span / 2, span / 2)
+            return end, a, first + second
+        _interrupt(said)
+        return np.array(r["xf"]).ravel() + rates * span, float(r["zf"]), np.array(r["qf"]).ravel() * ENERGY
 
-    def _acceleration(self, x: Array, p: Array) -> float:
-        """Return the acceleration that balances the commands, by bisection: the balance falls with it."""
-        low, high = -50.0, 50.0
-        for _ in range(80):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if float(self._balance(middle, x, p)) > 0 else (low, middle)
-        return 0.5 * (low + high)
+    def _acceleration(self, x: Array, guess: float, p: Array) -> float:
+        """Return the acceleration that balances the commands; the balance falls with it."""
+        from scipy.optimize import brentq  # takes a third of a second
+
+        def balance(a: float) -> float:
+            return float(self._balance(a, x, p))
+
+        ends = []
+        for sign in (-1, 1):
+            reach = 0.01
+            while sign * balance(guess + sign * reach) > 0 and reach < FASTEST:
+                reach *= 4
+            ends.append(guess + sign * reach)
+        try:
+            return float(brentq(balance, *ends, xtol=1e-13))
+        except ValueError as error:
+            raise SolveError(f"{self.plant.name}: no acceleration balances the commands at v = {x[0]:g} m/s") from error
+
+
+def _interrupt(said: io.StringIO) -> None:
+    """Pass an interrupt on; CasADi swallows it within the integrator and only says so."""
+    if "KeyboardInterrupt" in said.getvalue():
+        raise KeyboardInterrupt

@@ -179,14 +179,16 @@ class Body(Component):
     @plant("tyre", "der_v", "der_distance", "der_elevation", "P_aero", "P_roll", "P_climb", "P_kinetic")
     def motion(self, v: Expr, a: Expr, grade: Expr, rolling: tuple[Expr, Expr], turning: Turning) -> Mapping[str, Any]:
         """Return what the tyres must carry at a speed and an acceleration, equation (1)."""
-        drag, moving = self.resistance(grade, rolling), turning(v)
+        drag, moving, size = self.resistance(grade, rolling), turning(v), ca.fabs(v)
+        # Both oppose the motion, backward too.
+        roll, aero = moving * (drag.roll_0 + drag.roll_1 * size), drag.aero * size * v
         return {
-            "tyre": Tyre(self.p.m * a + drag.at(v, moving), v, a),
+            "tyre": Tyre(self.p.m * a + roll + drag.climb + aero, v, a),
             "der_v": a,
             "der_distance": v,
             "der_elevation": v * grade / ca.sqrt(1 + grade**2),
-            "P_aero": drag.aero * v**3,
-            "P_roll": moving * (drag.roll_0 + drag.roll_1 * v) * v,
+            "P_aero": aero * v,
+            "P_roll": roll * v,
             "P_climb": drag.climb * v,
             "P_kinetic": self.p.m * a * v,
         }

@@ -81,18 +81,22 @@ class Clutch(TwoSided):
         omega_idle: Expr,
         omega_launch: Expr,
         engine: Engine,
+        tau_grip_out: Expr,
+        tau_grip_in: Expr,
     ) -> Mapping[str, Any]:
         """Return the torque of the friction pair in continuous time: capacity times a smooth function of the slip speed.
 
-        Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for,
-        less while the engine is below its launch speed, so that it is not stalled.
+        Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for.
+        It is less while the engine is below its launch speed, or engaged below its idling speed, so that it is not stalled.
+        The tyres' grip cuts what passes.
         """
         low = BITE * omega_idle
-        bite = clip((omega_engine - low) / ca.fmax(omega_launch - low, 1), 0, 1)
-        capacity = where(clutch_slipping, bite * clip(tau_clutch, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
+        full = where(clutch_slipping, omega_launch, omega_idle)
+        bite = clip((omega_engine - low) / ca.fmax(full - low, 1), 0, 1)
+        capacity = bite * where(clutch_slipping, clip(tau_clutch, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
         tau = where(clutch_open, 0, capacity) * ca.tanh((omega_engine - output.omega) / OMEGA_SLIP)
         return {
-            "input": Shaft(tau, omega_engine, 0.0),
-            "P_loss": tau * (omega_engine - output.omega),
-            "balance": tau - output.tau,
+            "input": Shaft(output.tau, omega_engine, 0.0),
+            "P_loss": output.tau * (omega_engine - output.omega),
+            "balance": ca.fmax(ca.fmin(tau - output.tau, tau_grip_out), -tau_grip_in),
         }

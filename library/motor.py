@@ -144,26 +144,28 @@ class Motor(TwoSided):
 
     @plant("dc", "P_loss", "P_kinetic", "_tau", "_omega", "_P")
     def flow(self, shaft: Shaft, turning: Turning) -> Mapping[str, Any]:
-        """Return the electric power that the motion needs, in continuous time."""
-        links = self.chain(0, 0, 0, 0, turning)
-        power, booked = self.continuous(shaft, links)
+        """Return the electric power that the motion needs, in continuous time; backward the machine is its own mirror image."""
+        facing = where(shaft.omega < 0, -1, 1)
+        mirrored = Shaft(*(facing * x for x in shaft))
+        power, booked = self.continuous(mirrored, self.chain(0, 0, 0, 0, turning))
         tau = shaft.tau + self.p.J * shaft.alpha
         return {"dc": power, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"], "_tau": tau, "_omega": shaft.omega, "_P": power.P}
 
     @plant("balance")
     def drive(
-        self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr
-    ) -> Mapping[str, Any]:
-        """Say when the motor gives what the motion needs: the throttle's torque, or less where power or current end.
+        self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
+        tau_grip_out: Expr, tau_grip_in: Expr,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 
         The torque fades over the last half per cent below the top speed.
         """
-        lowest, highest = self.limits(_omega)
+        lowest, highest = self.limits(ca.fabs(_omega))
         top = self.p.omega_max * self.p.speed_scale
-        fade = clip((top - _omega) / (0.005 * top), 0, 1)
+        fade = clip((top - ca.fabs(_omega)) / (0.005 * top), 0, 1)
         tau = where(throttle_motor >= 0, throttle_motor * highest * fade, -throttle_motor * lowest)
         scale = ca.fmax(ca.fabs(_omega), 10)
         P_max = self.p.I_max * U
-        more = ca.fmin(P_room_out, P_max - _P) / scale
-        less = -ca.fmin(P_room_in, P_max + _P) / scale
+        more = ca.fmin(ca.fmin(P_room_out, P_max - _P) / scale, tau_grip_out)
+        less = -ca.fmin(ca.fmin(P_room_in, P_max + _P) / scale, tau_grip_in)
         return {"balance": ca.fmax(ca.fmin(tau - _tau, more), less)}

@@ -211,7 +211,10 @@ def wheel_case(name, body_name, seed, **values):
     def plant(turning):
         return wheel.flow(tyre, front, rear, grade, body.p, turning)["axle"]
 
-    limited = ca.Function("limited", [x], [way["slip_limited"] + (way["v_limited"] != tyre.v)])
+    # Tyres that hold less than their brakes take, which the step finds on its way back.
+    loads = wheel.weight(a, grade, body.p)
+    braked = sum(F < -wheel.p.mu_max * load for F, load in zip((front, rear), loads, strict=True))
+    limited = ca.Function("limited", [x], [way["slip_limited"] + (way["v_limited"] != tyre.v) + braked])
     points = trips(seed)
     inside = points[limited(points.T).full().ravel() == 0]
     assert len(inside) > 0.6 * N
