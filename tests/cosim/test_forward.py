@@ -45,8 +45,8 @@ def test_a_vehicle_stands_on_a_hill_for_a_minute(name, grade):
 def test_every_vehicle_starts_on_a_hill(name, grade):
     v = forward(name, hill(grade, (0, 0), (2, 0), (2.001, 8), (16, 8)))["body.v"]
     assert v.min() > -1e-3
-    # The conventional car shifts.
-    assert v[-10:] == pytest.approx(np.full(10, 8), abs=0.25)
+    # The conventional car shifts to and fro: each time it has no torque for 0.2 s, and loses 0.3 m/s.
+    assert v[-10:] == pytest.approx(np.full(10, 8), abs=0.5)
 
 
 @pytest.mark.parametrize(
