@@ -8,6 +8,7 @@ import pytest
 from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
+from halfshaft.library.files import component_names
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 from halfshaft.validation import paper
 
@@ -53,3 +54,14 @@ def test_hybrid_goes_over_into_forward_facing_as_the_step_shrinks() -> None:
     errors = [abs(run(car, trace, dt=dt).summary["motor_input_J"] / forward - 1) for dt in (1.0, 0.25)]
     assert errors[1] < errors[0]
     assert np.all(np.array(errors) < 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "part"),
+    [("small-car-conventional", "engine", part) for part in component_names("engine")]
+    + [("small-car-electric", "motor", part) for part in component_names("motor")],
+)
+def test_every_engine_and_motor_runs_to_the_end(name: str, role: str, part: str) -> None:
+    car = Vehicle.load(name).with_parts({role: part})
+    for result in (accelerate(car, via="forward").result, run(car, Cycle.load("us06"), via="forward")):
+        assert abs(result.account.balance_relative) < 1e-6
