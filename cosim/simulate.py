@@ -19,7 +19,7 @@ from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.cosim.ways import Via as Via
 from halfshaft.library.errors import InputError, nearest, not_a, number
-from halfshaft.library.parameters import tables
+from halfshaft.library.parameters import Parameters, tables
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
@@ -142,11 +142,18 @@ def _beyond_maps(vehicle: Vehicle, highest: Mapping[str, float], last: Mapping[s
     """Tell where the battery was colder or warmer than its maps, where those depend on the temperature."""
     if not highest.get("battery.T", 0) > 0:
         return ()  # No battery, or no step.
-    axes = [t.points[0] for _, t in tables(vehicle.parameters["battery"]) if np.any(np.diff(t.values, axis=0))]
+    axes = _temperatures(vehicle.parameters["battery"])
     coldest, warmest = (f(vehicle.values["battery.T_start"], T["battery.T"]) for f, T in ((min, last), (max, highest)))
     found = [("cold", coldest, x[0]) for x in axes if coldest < x[0]] + [("warm", warmest, x[-1]) for x in axes if warmest > x[-1]]
     said = "battery as {} as {:.1f} degC, but maps of it are read at {:g} degC, their end"
     return tuple(dict.fromkeys(said.format(how, T - 273.15, end - 273.15) for how, T, end in found))
+
+
+# A loop over runs asks for the same pack again and again.
+@lru_cache(maxsize=64)
+def _temperatures(p: Parameters) -> tuple[Array, ...]:
+    """Return the temperatures of a pack's maps, of those that depend on them."""
+    return tuple(t.points[0] for _, t in tables(p) if np.any(np.diff(t.values, axis=0)))
 
 
 def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> float:
