@@ -19,7 +19,7 @@ from halfshaft.cosim.compiled import CompiledStep, Mode
 from halfshaft.cosim.cycle import acceleration_cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run, stepper_of
-from halfshaft.library.errors import InputError, not_a, number
+from halfshaft.library.base.errors import InputError, not_a, number
 from halfshaft.models.vehicle import Vehicle
 
 #: Speed that is asked for [m/s].

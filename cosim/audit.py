@@ -20,9 +20,9 @@ import numpy as np
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Samples
-from halfshaft.library.component import Assumed, Component, Face
-from halfshaft.library.ports import SHOWN
-from halfshaft.library.tables import interpolants
+from halfshaft.library.base.component import Assumed, Component, Face
+from halfshaft.library.base.ports import SHOWN
+from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import Step, StepDirection, all_tables, step_turning, symbolic
 from halfshaft.models.forward import NEUTRAL
 from halfshaft.models.model import Connection, Model

@@ -19,7 +19,7 @@ from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Grades, Samples
 from halfshaft.cosim.fmu import build_driven, uneven_grid
 from halfshaft.fmu_build.variables import Version
-from halfshaft.library.errors import CompileError, InputError, SolveError
+from halfshaft.library.base.errors import CompileError, InputError, SolveError
 from halfshaft.models.assembly import Step
 
 

@@ -28,8 +28,8 @@ from halfshaft.cosim.cli_output import (
 )
 from halfshaft.cosim.units import SYSTEMS, Units
 from halfshaft.cosim.ways import Mode, Via
-from halfshaft.library.errors import HalfshaftError
-from halfshaft.library.writing import target_problem
+from halfshaft.library.base.errors import HalfshaftError
+from halfshaft.library.files.writing import target_problem
 
 if TYPE_CHECKING:
     # Each command imports what it runs: the help needs none of it.

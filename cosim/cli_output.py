@@ -25,7 +25,7 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from halfshaft.cosim.units import Units, shown
-from halfshaft.library.errors import HalfshaftError
+from halfshaft.library.base.errors import HalfshaftError
 
 if TYPE_CHECKING:
     from halfshaft.cosim.acceleration import Acceleration

@@ -13,12 +13,12 @@ from rich.table import Table
 
 from halfshaft.cosim.cli_output import console, new_table
 from halfshaft.cosim.cycle import Cycle, cycle_names
-from halfshaft.library.catalog import KINDS
-from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.files import LARGEST, ComponentFile, component_names, read_component
-from halfshaft.library.parameters import described
-from halfshaft.library.tables import Table as Map
-from halfshaft.library.texts import read_text
+from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.base.parameters import described
+from halfshaft.library.base.tables import Table as Map
+from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.component_file import LARGEST, ComponentFile, component_names, read_component
+from halfshaft.library.files.texts import read_text
 from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
 
 Rows = tuple[list[str], list[list[str]]]

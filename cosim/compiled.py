@@ -24,8 +24,8 @@ from halfshaft.cosim.ways import MODES as MODES
 from halfshaft.cosim.ways import Mode as Mode
 from halfshaft.fmu_build.code import compiled_tables, step_code
 from halfshaft.fmu_build.compiler import SlowWarning, shared_library
-from halfshaft.library.errors import CompileError, InputError, SolveError
-from halfshaft.library.tables import interpolants
+from halfshaft.library.base.errors import CompileError, InputError, SolveError
+from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.model import Model
 

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from halfshaft.cosim.cycle_file import GRADE, TRACE, read_csv
-from halfshaft.library.errors import InputError, nearest, number
-from halfshaft.library.notebook import Grid, card
-from halfshaft.library.texts import NAME, cleaned, name_problem
+from halfshaft.library.base.errors import InputError, nearest, number
+from halfshaft.library.files.notebook import Grid, card
+from halfshaft.library.files.texts import NAME, cleaned, name_problem
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Grades: TypeAlias = tuple[Array, Array]

@@ -18,8 +18,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.texts import cleaned, read_text
+from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.files.texts import cleaned, read_text
 
 Array: TypeAlias = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from halfshaft.cosim.cycle import Cycle, Samples, cycle_names
 from halfshaft.fmu_build import package
 from halfshaft.fmu_build.code import compiled_tables, step_code
 from halfshaft.fmu_build.variables import SHORTEST_STEP, CycleTable, Version
-from halfshaft.library.errors import InputError, not_a, number
+from halfshaft.library.base.errors import InputError, not_a, number
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle

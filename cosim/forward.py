@@ -18,8 +18,8 @@ import numpy as np
 from halfshaft.cosim.compiled import Array, Stepper, stepper
 from halfshaft.cosim.cycle import Samples
 from halfshaft.fmu_build.code import compiled_tables
-from halfshaft.library.errors import CompileError, SolveError
-from halfshaft.library.tables import interpolants
+from halfshaft.library.base.errors import CompileError, SolveError
+from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import all_tables
 from halfshaft.models.forward import Plant, assemble_plant
 from halfshaft.models.model import Model

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.plot import COLOURS, EDGE, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
-from halfshaft.library.errors import InputError
-from halfshaft.library.files import ComponentFile
-from halfshaft.library.parameters import Parameters, Spec, spec_of
-from halfshaft.library.tables import Axis, Table
-from halfshaft.library.writing import written_whole
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.parameters import Parameters, Spec, spec_of
+from halfshaft.library.base.tables import Axis, Table
+from halfshaft.library.files.component_file import ComponentFile
+from halfshaft.library.files.writing import written_whole
 
 #: An axis of at most so many points gives a line for each of them.
 _FEW = 6

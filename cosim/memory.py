@@ -6,7 +6,7 @@ import os
 import warnings
 from pathlib import Path
 
-from halfshaft.library.errors import InputError
+from halfshaft.library.base.errors import InputError
 
 #: Numbers that a step takes whether its outputs are kept or not: time, length, request, grade and key, and what making them takes.
 PER_STEP = 8

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfshaft.cosim.cycle import Array, Cycle
-from halfshaft.library.battery import BatteryParameters
-from halfshaft.library.files import ComponentFile
-from halfshaft.library.motor import MotorParameters
+from halfshaft.library.electric.battery import BatteryParameters
+from halfshaft.library.electric.motor import MotorParameters
+from halfshaft.library.files.component_file import ComponentFile
 from halfshaft.library.ratings import pack_energy, peak_power
 from halfshaft.models.vehicle import Vehicle
 

@@ -22,8 +22,8 @@ from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.result import Result
-from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.writing import source_date, written_whole
+from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.files.writing import source_date, written_whole
 
 #: Formats by the ending of the file.
 FORMATS = ("png", "svg", "pdf")

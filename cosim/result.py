@@ -18,9 +18,9 @@ from halfshaft.cosim.facts import in_html, in_line
 from halfshaft.cosim.origin import Made, Origin, Ratings
 from halfshaft.cosim.remarks import remarks
 from halfshaft.cosim.units import mpg, mpge
-from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.texts import open_regular
-from halfshaft.library.writing import written_whole
+from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.files.texts import open_regular
+from halfshaft.library.files.writing import written_whole
 from halfshaft.models.assembly import Description
 
 if TYPE_CHECKING:

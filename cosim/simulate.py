@@ -18,8 +18,8 @@ from halfshaft.cosim.memory import check_memory
 from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.cosim.ways import Via as Via
-from halfshaft.library.errors import InputError, nearest, not_a, number
-from halfshaft.library.parameters import Parameters, tables
+from halfshaft.library.base.errors import InputError, nearest, not_a, number
+from halfshaft.library.base.parameters import Parameters, tables
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle

@@ -23,11 +23,11 @@ from mkdocs.structure.pages import Page
 from halfshaft import Cycle, Vehicle, component_names, plot_run, run
 from halfshaft.cosim.cli_show import any_component
 from halfshaft.cosim.maps import plot_maps
-from halfshaft.library.catalog import KINDS
-from halfshaft.library.component import Component
-from halfshaft.library.parameters import Parameters, Spec, spec_of
-from halfshaft.library.ports import Port
-from halfshaft.library.tables import Table
+from halfshaft.library.base.component import Component
+from halfshaft.library.base.parameters import Parameters, Spec, spec_of
+from halfshaft.library.base.ports import Port
+from halfshaft.library.base.tables import Table
+from halfshaft.library.files.catalog import KINDS
 
 PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)

@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from halfshaft.fmu_build.compiler import shared_library
-from halfshaft.library.tables import Table, axis_source, clip_source, external_source, values_source
+from halfshaft.library.base.tables import Table, axis_source, clip_source, external_source, values_source
 from halfshaft.models.assembly import Step
 
 _PRELUDE = """#include <math.h>

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import platformdirs
 
-from halfshaft.library.errors import CompileError
+from halfshaft.library.base.errors import CompileError
 
 # No contraction: the same digits on every processor.  The compiler may take fmin, fmax and sqrt as instructions.
 FLAGS = (

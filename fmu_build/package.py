@@ -14,7 +14,7 @@ from halfshaft.fmu_build.compiler import SUFFIX, shared_library
 from halfshaft.fmu_build.sources import sources
 from halfshaft.fmu_build.variables import CycleTable, Version, check, identifier, variables
 from halfshaft.fmu_build.xml import build_description, model_description, plain, timestamp
-from halfshaft.library.writing import written_whole
+from halfshaft.library.files.writing import written_whole
 from halfshaft.models.assembly import Step
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from halfshaft.library.errors import InputError, nearest
+from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.models.assembly import Description, Step
 
 Array: TypeAlias = npt.NDArray[np.float64]

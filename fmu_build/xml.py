@@ -15,8 +15,8 @@ from typing import Any
 
 from halfshaft.fmu_build.sources import Sources
 from halfshaft.fmu_build.variables import CycleTable, Variable, Version, identifier
-from halfshaft.library.errors import InputError
-from halfshaft.library.writing import source_date
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.files.writing import source_date
 from halfshaft.models.assembly import Step
 
 # Units that are nicer to read, as name and factor, by the unit that the FMU computes in.

@@ -1,1 +1,1 @@
-"""Blocks: one physical component a file, with ports, parameters, tables and component data."""
+"""The library: components in groups, one physical component a file, and their data."""

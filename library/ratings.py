@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from halfshaft.library.battery import BatteryParameters
-from halfshaft.library.motor import MotorParameters
+from halfshaft.library.electric.battery import BatteryParameters
+from halfshaft.library.electric.motor import MotorParameters
 
 
 # A sweep asks for the same part again and again.

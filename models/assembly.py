@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.component import Component
-from halfshaft.library.errors import WiringError
-from halfshaft.library.parameters import Relation, bind, numbers, tables
-from halfshaft.library.ports import MEANINGS, SHOWN, UNITS
-from halfshaft.library.tables import BoundTable, Table, interpolants
+from halfshaft.library.base.component import Component
+from halfshaft.library.base.errors import WiringError
+from halfshaft.library.base.parameters import Relation, bind, numbers, tables
+from halfshaft.library.base.ports import MEANINGS, SHOWN, UNITS
+from halfshaft.library.base.tables import BoundTable, Table, interpolants
 from halfshaft.models.model import Model
 from halfshaft.models.wiring import Key, Wiring
 

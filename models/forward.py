@@ -23,8 +23,8 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, Face, Variable
-from halfshaft.library.ports import SHOWN
+from halfshaft.library.base.component import Component, Face, Variable
+from halfshaft.library.base.ports import SHOWN
 from halfshaft.models.assembly import Description, Step, symbolic
 from halfshaft.models.model import Model
 from halfshaft.models.wiring import Key, Wiring

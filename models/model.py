@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from halfshaft.library.component import Component
-from halfshaft.library.errors import WiringError
-from halfshaft.library.ports import Port, PortOf
+from halfshaft.library.base.component import Component
+from halfshaft.library.base.errors import WiringError
+from halfshaft.library.base.ports import Port, PortOf
 
 
 class Connection:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from halfshaft.library.component import Component
-from halfshaft.library.parameters import numbers, tables
+from halfshaft.library.base.component import Component
+from halfshaft.library.base.parameters import numbers, tables
 from halfshaft.models.conventional import conventional
 from halfshaft.models.electric import electric
 from halfshaft.models.model import Model

@@ -17,22 +17,22 @@ from typing import Any, ClassVar, Protocol, TypeAlias, cast
 
 import numpy as np
 
-from halfshaft.library.component import Component
-from halfshaft.library.engine import EngineParameters
-from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.files import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
-from halfshaft.library.final_drive import FinalDriveParameters
-from halfshaft.library.gearbox import MapGearboxParameters
-from halfshaft.library.generator import GeneratorParameters
-from halfshaft.library.motor import MotorParameters
-from halfshaft.library.notebook import Grid, card
-from halfshaft.library.parameters import DESCRIBED, Parameters, Spec, described, numbers, param, spec_of
-from halfshaft.library.series_control import genset_locus
-from halfshaft.library.shift import ShiftParameters
-from halfshaft.library.tables import Table
-from halfshaft.library.texts import cleaned, name_problem
-from halfshaft.library.toml import inline, quantity, toml_text, written
-from halfshaft.library.wheel import WheelParameters
+from halfshaft.library.base.component import Component
+from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, numbers, param, spec_of
+from halfshaft.library.base.tables import Table
+from halfshaft.library.chassis.wheel import WheelParameters
+from halfshaft.library.control.series import genset_locus
+from halfshaft.library.control.shift import ShiftParameters
+from halfshaft.library.driveline.final_drive import FinalDriveParameters
+from halfshaft.library.driveline.gearbox import MapGearboxParameters
+from halfshaft.library.electric.generator import GeneratorParameters
+from halfshaft.library.electric.motor import MotorParameters
+from halfshaft.library.engine.engine import EngineParameters
+from halfshaft.library.files.component_file import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
+from halfshaft.library.files.notebook import Grid, card
+from halfshaft.library.files.texts import cleaned, name_problem
+from halfshaft.library.files.toml import inline, quantity, toml_text, written
 
 Parts: TypeAlias = Mapping[str, ComponentFile]
 Sets: TypeAlias = Mapping[str, Parameters]

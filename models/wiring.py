@@ -1,6 +1,6 @@
 """Finds the order in which the faces of a model's parts are computed.
 
-Every face names what it takes and gives (`halfshaft.library.component`).  Here the names are resolved to their makers and the
+Every face names what it takes and gives (`halfshaft.library.base.component`).  Here the names are resolved to their makers and the
 faces sorted; all that cannot be resolved is reported at once, and a loop that no memory breaks is refused with the
 names of the faces in it.
 """
@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from halfshaft.library.catalog import KINDS
-from halfshaft.library.component import Component, Face, arguments
-from halfshaft.library.errors import WiringError, nearest
-from halfshaft.library.links import TwoSided
+from halfshaft.library.base.component import Component, Face, arguments
+from halfshaft.library.base.errors import WiringError, nearest
+from halfshaft.library.base.links import TwoSided
+from halfshaft.library.files.catalog import KINDS
 from halfshaft.models.model import Model
 
 #: Where a value lives: what it is, the part that it belongs to (empty for the model's own), its name.

@@ -12,7 +12,7 @@ import pytest
 import typer.main
 
 from halfshaft.cosim.cli import app
-from halfshaft.library.catalog import KINDS
+from halfshaft.library.files.catalog import KINDS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

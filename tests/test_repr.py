@@ -6,8 +6,8 @@ from html.parser import HTMLParser
 import pytest
 
 from halfshaft import Cycle, Vehicle, run
-from halfshaft.library.files import component_names, read_component
-from halfshaft.library.tables import Table
+from halfshaft.library.base.tables import Table
+from halfshaft.library.files.component_file import component_names, read_component
 
 
 class Checker(HTMLParser):

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from halfshaft.library import files
+from halfshaft.library.files import component_file as files
 
 HEAVY = ("casadi", "fmpy", "h5netcdf", "halfshaft.cosim.forward", "matplotlib", "numpy", "pandas", "pint", "scipy", "xarray")
 

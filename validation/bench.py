@@ -22,7 +22,7 @@ from halfshaft.cosim.compiled import InterpretedStep, Mode
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
 from halfshaft.fmu_build.compiler import find_compiler
-from halfshaft.library.errors import CompileError, SolveError
+from halfshaft.library.base.errors import CompileError, SolveError
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.validation import paper
 from halfshaft.validation.handwritten import Twin

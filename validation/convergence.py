@@ -16,7 +16,7 @@ from halfshaft.cosim.compiled import Mode
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run
-from halfshaft.library.errors import SolveError
+from halfshaft.library.base.errors import SolveError
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 #: Lengths of the step [s].

@@ -11,7 +11,7 @@ import numpy as np
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Samples
 from halfshaft.fmu_build.compiler import shared_library
-from halfshaft.library.parameters import tables
+from halfshaft.library.base.parameters import tables
 from halfshaft.models.vehicle import Vehicle
 
 

@@ -22,9 +22,9 @@ from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.remarks import OPEN_BALANCE
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Build, parameters_of, run
-from halfshaft.library.errors import HalfshaftError
-from halfshaft.library.files import component_names, read_component
-from halfshaft.library.tables import interpolants
+from halfshaft.library.base.errors import HalfshaftError
+from halfshaft.library.base.tables import interpolants
+from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.models.assembly import assemble
 from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import POWERTRAINS, Vehicle, vehicle_names

@@ -23,7 +23,7 @@ from halfshaft.cosim.compiled import MODES, Mode
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run
-from halfshaft.library.errors import InputError, SolveError
+from halfshaft.library.base.errors import InputError, SolveError
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.validation import paper
 from halfshaft.validation.figures import DARK, LIGHT, Drawing, acceleration_drawings, deviations_drawing, png, speeds_drawing

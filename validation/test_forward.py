@@ -8,7 +8,7 @@ import pytest
 from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
-from halfshaft.library.files import component_names
+from halfshaft.library.files.component_file import component_names
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 from halfshaft.validation import paper
 

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from halfshaft.cosim.plot import plot_run
     from halfshaft.cosim.result import Result
     from halfshaft.cosim.simulate import run
-    from halfshaft.library.errors import HalfshaftError, InputError
-    from halfshaft.library.files import component_names
+    from halfshaft.library.base.errors import HalfshaftError, InputError
+    from halfshaft.library.files.component_file import component_names
     from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 __all__ = [
@@ -34,13 +34,13 @@ __all__ = [
 # Imported when first asked for: `import halfshaft` stays fast, and modules below may import the version.
 _HOMES = {
     "Cycle": "cosim.cycle",
-    "HalfshaftError": "library.errors",
-    "InputError": "library.errors",
+    "HalfshaftError": "library.base.errors",
+    "InputError": "library.base.errors",
     "Result": "cosim.result",
     "Vehicle": "models.vehicle",
     "accelerate": "cosim.acceleration",
     "build_fmu": "cosim.fmu",
-    "component_names": "library.files",
+    "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",
     "plot_run": "cosim.plot",
     "run": "cosim.simulate",

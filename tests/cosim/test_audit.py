@@ -10,16 +10,16 @@ from halfshaft.cosim.audit import Auditor
 from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import parameters_of, run
-from halfshaft.library import links
-from halfshaft.library.battery import Battery
-from halfshaft.library.body import Body
-from halfshaft.library.bus import Bus
-from halfshaft.library.engine import Engine
-from halfshaft.library.errors import InputError
-from halfshaft.library.generator import Generator
-from halfshaft.library.motor import Motor
-from halfshaft.library.ports import Shaft
-from halfshaft.library.wheel import Wheel
+from halfshaft.library.base import links
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.ports import Shaft
+from halfshaft.library.chassis.body import Body
+from halfshaft.library.chassis.wheel import Wheel
+from halfshaft.library.electric.battery import Battery
+from halfshaft.library.electric.bus import Bus
+from halfshaft.library.electric.generator import Generator
+from halfshaft.library.electric.motor import Motor
+from halfshaft.library.engine.engine import Engine
 from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 

@@ -6,7 +6,7 @@ import pytest
 from halfshaft.cosim.by_fmu import march_fmu
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
-from halfshaft.library.errors import CompileError, InputError, SolveError
+from halfshaft.library.base.errors import CompileError, InputError, SolveError
 from halfshaft.models.vehicle import Vehicle
 
 CARS = ("small-car-electric", "small-car-series", "small-car-conventional")

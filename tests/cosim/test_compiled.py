@@ -9,8 +9,8 @@ from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.cosim.cycle import Samples
 from halfshaft.cosim.memory import MemoryWarning
 from halfshaft.cosim.simulate import parameters_of, stepper_of
-from halfshaft.library.errors import SolveError
-from halfshaft.library.tables import interpolants
+from halfshaft.library.base.errors import SolveError
+from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import assemble
 from halfshaft.models.powertrains import model_of
 

@@ -6,7 +6,7 @@ import pytest
 
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle, cycle_names
 from halfshaft.cosim.simulate import run
-from halfshaft.library.errors import InputError
+from halfshaft.library.base.errors import InputError
 from halfshaft.models.vehicle import Vehicle
 
 

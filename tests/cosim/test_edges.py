@@ -9,8 +9,8 @@ import pytest
 
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
-from halfshaft.library.errors import InputError
-from halfshaft.library.files import component_names
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.files.component_file import component_names
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 US06 = Cycle.load("us06")

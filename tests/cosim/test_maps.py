@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from halfshaft.cosim.maps import plot_maps
-from halfshaft.library.errors import InputError
-from halfshaft.library.files import component_names, read_component
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.files.component_file import component_names, read_component
 
 
 def panels(name):

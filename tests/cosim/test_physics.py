@@ -12,10 +12,10 @@ from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.cosim.forward import Forward
 from halfshaft.cosim.simulate import run
-from halfshaft.library.battery import Battery
-from halfshaft.library.gearbox import PolynomialGearbox, PolynomialGearboxParameters
-from halfshaft.library.ports import Electric, Tyre
-from halfshaft.library.tables import Table
+from halfshaft.library.base.ports import Electric, Tyre
+from halfshaft.library.base.tables import Table
+from halfshaft.library.driveline.gearbox import PolynomialGearbox, PolynomialGearboxParameters
+from halfshaft.library.electric.battery import Battery
 from halfshaft.models.assembly import step_turning
 from halfshaft.models.electric import electric
 from halfshaft.models.vehicle import Vehicle, vehicle_names

@@ -8,7 +8,7 @@ from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.plot import plot_run
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import run
-from halfshaft.library.errors import InputError
+from halfshaft.library.base.errors import InputError
 from halfshaft.models.vehicle import Vehicle
 
 

@@ -12,7 +12,7 @@ from fmpy.simulation import instantiate_fmu
 
 from halfshaft.fmu_build.package import build_fmu
 from halfshaft.fmu_build.variables import CycleTable
-from halfshaft.library.parameters import Relation
+from halfshaft.library.base.parameters import Relation
 from halfshaft.models.assembly import Description
 
 _P = ca.SX.sym("p", 3)

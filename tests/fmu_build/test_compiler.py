@@ -11,7 +11,7 @@ import pytest
 
 from halfshaft.fmu_build import compiler
 from halfshaft.fmu_build.compiler import SlowWarning, find_compiler, shared_library
-from halfshaft.library.errors import CompileError
+from halfshaft.library.base.errors import CompileError
 
 SOURCE = '#include "twice.h"\n__attribute__((visibility("default"))) int twice(int x) { return TWO * x; }\n'
 HEADERS = {"twice.h": "#define TWO 2\n"}

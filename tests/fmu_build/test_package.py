@@ -17,7 +17,7 @@ from fmpy.validation import validate_fmu
 from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.cosim.fmu import build_fmu as build_vehicle
 from halfshaft.fmu_build.package import build_fmu
-from halfshaft.library.errors import InputError
+from halfshaft.library.base.errors import InputError
 from halfshaft.models.assembly import Description
 from halfshaft.models.vehicle import Vehicle
 

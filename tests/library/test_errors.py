@@ -1,6 +1,6 @@
 import pytest
 
-from halfshaft.library.errors import nearest
+from halfshaft.library.base.errors import nearest
 from halfshaft.models.vehicle import Vehicle
 
 CAR = Vehicle.load("small-car-series")

@@ -3,9 +3,9 @@ import os
 
 import pytest
 
-from halfshaft.library.catalog import KINDS
-from halfshaft.library.errors import InputError
-from halfshaft.library.files import component_names, parse_quantity, read_component
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.component_file import component_names, parse_quantity, read_component
 
 HEAD = 'schema = 1\nkind = "motor"\nname = "m"\ntitle = "M"\nsource = "S"\n'
 NUMBERS = 'omega_max = "3000 rpm"\nJ = "0.047 kg m^2"\nI_max = "300 A"\n'

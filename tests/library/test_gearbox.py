@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from halfshaft.library.files import read_component
-from halfshaft.library.ports import Shaft
+from halfshaft.library.base.ports import Shaft
+from halfshaft.library.files.component_file import read_component
 from halfshaft.models.assembly import StepDirection, step_turning
 
 

@@ -1,8 +1,8 @@
 import pytest
 
-from halfshaft.library.errors import InputError
-from halfshaft.library.files import read_component
-from halfshaft.library.ports import Electric, Shaft
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.ports import Electric, Shaft
+from halfshaft.library.files.component_file import read_component
 from halfshaft.models.assembly import step_turning
 from halfshaft.models.vehicle import Vehicle
 

@@ -4,14 +4,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from halfshaft.library.body import BodyParameters
-from halfshaft.library.catalog import KINDS
-from halfshaft.library.errors import HalfshaftError, InputError
-from halfshaft.library.gearbox import PolynomialGearboxParameters
-from halfshaft.library.parameters import Parameters, bind, numbers, param, params, spec_of, table, tables
-from halfshaft.library.series_control import SeriesControlParameters
-from halfshaft.library.tables import Axis, Table
-from halfshaft.library.wheel import WheelParameters
+from halfshaft.library.base.errors import HalfshaftError, InputError
+from halfshaft.library.base.parameters import Parameters, bind, numbers, param, params, spec_of, table, tables
+from halfshaft.library.base.tables import Axis, Table
+from halfshaft.library.chassis.body import BodyParameters
+from halfshaft.library.chassis.wheel import WheelParameters
+from halfshaft.library.control.series import SeriesControlParameters
+from halfshaft.library.driveline.gearbox import PolynomialGearboxParameters
+from halfshaft.library.files.catalog import KINDS
 
 
 @dataclass(frozen=True, kw_only=True)

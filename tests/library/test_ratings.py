@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from halfshaft.library.files import component_names, read_component
+from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.library.ratings import pack_energy, peak_power
 
 

@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from halfshaft.library.catalog import KINDS
-from halfshaft.library.clutch import Clutch
-from halfshaft.library.files import component_names, read_component
-from halfshaft.library.links import TwoSided
-from halfshaft.library.motor import OMEGA_OFF
-from halfshaft.library.ports import Electric, Shaft, Tyre
+from halfshaft.library.base.links import TwoSided
+from halfshaft.library.base.ports import Electric, Shaft, Tyre
+from halfshaft.library.driveline.clutch import Clutch
+from halfshaft.library.electric.motor import OMEGA_OFF
+from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.models.assembly import StepDirection, step_turning
 from halfshaft.models.forward import PlantDirection, plant_turning
 

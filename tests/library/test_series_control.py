@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from halfshaft.library.series_control import PARTS
+from halfshaft.library.control.series import PARTS
 from halfshaft.models.vehicle import Vehicle
 
 FOLLOWER = Vehicle.load("small-car-series-follower")
@@ -97,7 +97,7 @@ def test_normal_power_is_cut_unless_the_battery_is_short():
 
 
 def test_the_controller_of_the_generator_limits_its_current():
-    from halfshaft.library.ports import Shaft
+    from halfshaft.library.base.ports import Shaft
 
     generator = FOLLOWER.components()["generator"]
     known = {"omega_before": 400.0, "dt": 1.0}

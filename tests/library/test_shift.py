@@ -1,6 +1,6 @@
 import pytest
 
-from halfshaft.library.files import read_component
+from halfshaft.library.files.component_file import read_component
 
 RATIOS = (13.45, 7.57, 5.01, 3.77, 2.84)
 

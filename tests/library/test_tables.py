@@ -4,7 +4,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from halfshaft.fmu_build.code import compiled_tables
-from halfshaft.library.tables import Table, interpolants
+from halfshaft.library.base.tables import Table, interpolants
 
 
 def table(*lengths, clip, seed):

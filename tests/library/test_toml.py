@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from halfshaft.library.errors import InputError
-from halfshaft.library.files import component_names, read_component
-from halfshaft.library.tables import Table
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.tables import Table
+from halfshaft.library.files.component_file import component_names, read_component
 
 OPEN = ["omega_locus"]
 

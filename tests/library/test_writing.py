@@ -4,7 +4,7 @@ import stat
 import pytest
 
 from halfshaft import InputError
-from halfshaft.library.writing import written_whole
+from halfshaft.library.files.writing import written_whole
 
 
 def write(path, text="new"):

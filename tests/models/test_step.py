@@ -4,7 +4,7 @@ import pytest
 from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import parameters_of, stepper_of
-from halfshaft.library.errors import SolveError
+from halfshaft.library.base.errors import SolveError
 from halfshaft.models.assembly import REQUESTED, assemble
 from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from halfshaft.library.errors import InputError
-from halfshaft.library.parameters import tables
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.parameters import tables
 from halfshaft.models.vehicle import POWERTRAINS, Vehicle, vehicle_names
 
 SERIES = Vehicle.load("small-car-series")

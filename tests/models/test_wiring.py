@@ -7,11 +7,11 @@ from halfshaft.cosim.account import account
 from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.forward import Forward
-from halfshaft.library.component import Component, State, Variable, face
-from halfshaft.library.errors import WiringError
-from halfshaft.library.links import TwoSided, drag, inertia
-from halfshaft.library.parameters import Parameters, param
-from halfshaft.library.ports import Electric, Port, Shaft
+from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.errors import WiringError
+from halfshaft.library.base.links import TwoSided, drag, inertia
+from halfshaft.library.base.parameters import Parameters, param
+from halfshaft.library.base.ports import Electric, Port, Shaft
 from halfshaft.models.assembly import assemble
 from halfshaft.models.electric import electric
 from halfshaft.models.model import Model

@@ -20,11 +20,11 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, face
-from halfshaft.library.expressions import clip, where
-from halfshaft.library.parameters import Parameters, param, table
-from halfshaft.library.ports import Expr
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.parameters import Parameters, param, table
+from halfshaft.library.base.ports import Expr
+from halfshaft.library.base.tables import Axis, Table
 
 SPEED, GEAR = Axis("omega", "rad/s"), Axis("gear", "1")
 

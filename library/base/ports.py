@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    from halfshaft.library.component import Component
+    from halfshaft.library.base.component import Component
 
 #: An expression: `casadi.SX` in an assembled model, a number in a test.
 Expr: TypeAlias = Any

@@ -17,11 +17,11 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, face, plant
-from halfshaft.library.expressions import Turning, clip, where
-from halfshaft.library.parameters import Parameters, param, table
-from halfshaft.library.ports import Electric, Expr, Port, Shaft
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import Component, State, Variable, face, plant
+from halfshaft.library.base.expressions import Turning, clip, where
+from halfshaft.library.base.parameters import Parameters, param, table
+from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
+from halfshaft.library.base.tables import Axis, Table
 
 SPEED, TORQUE = Axis("omega", "rad/s"), Axis("tau", "N.m")
 

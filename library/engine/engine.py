@@ -30,11 +30,11 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, face, plant
-from halfshaft.library.expressions import LIFTED, Turning, clip, lifted, where
-from halfshaft.library.parameters import Parameters, Relation, param, table
-from halfshaft.library.ports import Expr, Port, Shaft
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import Component, State, Variable, face, plant
+from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
+from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.ports import Expr, Port, Shaft
+from halfshaft.library.base.tables import Axis, Table
 
 #: Time in which a governor of the forward-facing model would remove an error of speed [s].
 GOVERNOR_TIME = 0.05

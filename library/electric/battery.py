@@ -25,12 +25,12 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, face, plant
-from halfshaft.library.expressions import clip, where
-from halfshaft.library.motor import MotorParameters
-from halfshaft.library.parameters import Parameters, param, table
-from halfshaft.library.ports import Electric, Expr, Port
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import Component, State, Variable, face, plant
+from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.parameters import Parameters, param, table
+from halfshaft.library.base.ports import Electric, Expr, Port
+from halfshaft.library.base.tables import Axis, Table
+from halfshaft.library.electric.motor import MotorParameters
 
 TEMPERATURE, CHARGE = Axis("T", "K"), Axis("soc", "1")
 

@@ -1,10 +1,6 @@
-"""Accessories: a constant electric load on the bus, a constant mechanical load on the engine's shaft.
+"""Mechanical accessories: a constant load on the engine's shaft.
 
-Electric: ``P_in = P_out + P_on / eta``.  On the way back the accessories are served first, but only with what the bus
-and a braking motor offer together; an empty battery cannot feed them.
-
-Mechanical: ``tau_in = tau_out + tau + P / (eta omega)`` while the engine is on, at the engine's speed but never below
-its idling speed.
+``tau_in = tau_out + tau + P / (eta omega)`` while the engine is on, at the engine's speed but never below its idling speed.
 """
 
 from __future__ import annotations
@@ -15,19 +11,11 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import State
-from halfshaft.library.expressions import clip, where
-from halfshaft.library.links import Link, TwoSided
-from halfshaft.library.parameters import Parameters, param
-from halfshaft.library.ports import Electric, Expr, Port, Shaft
-
-
-@dataclass(frozen=True, kw_only=True)
-class ElectricAccessoriesParameters(Parameters):
-    """Electric load."""
-
-    P_on: float = param("W", "power of the accessories while the key is on", 0.0, ge=0, le=1e6)
-    eta: float = param("1", "efficiency of their supply", 1.0, ge=0.01, le=1)
+from halfshaft.library.base.component import State
+from halfshaft.library.base.expressions import where
+from halfshaft.library.base.links import Link, TwoSided
+from halfshaft.library.base.parameters import Parameters, param
+from halfshaft.library.base.ports import Expr, Port, Shaft
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,25 +25,6 @@ class MechanicalAccessoriesParameters(Parameters):
     tau_on: float = param("N.m", "constant torque while the engine is on", 0.0, ge=0, le=1e4)
     P_on: float = param("W", "constant power while the engine is on", 0.0, ge=0, le=1e6)
     eta: float = param("1", "efficiency of the belt drive", 1.0, ge=0.01, le=1)
-
-
-@dataclass(frozen=True)
-class ElectricAccessories(TwoSided):
-    """Electric load between the motor and the bus."""
-
-    p: ElectricAccessoriesParameters
-    parameters = ElectricAccessoriesParameters
-    load = Port(Electric, "wheel")
-    supply = Port(Electric, "source")
-
-    def chain(self, key_on: Expr) -> tuple[Link, ...]:  # type: ignore[override]
-        """Return the load."""
-        P = where(key_on, self.p.P_on / self.p.eta, 0)
-
-        def back(asked: Electric, sent: Electric, offered: Electric) -> Electric:
-            return Electric(offered.P - clip(offered.P - ca.fmin(asked.P, 0), 0, P))
-
-        return (Link(lambda load: Electric(load.P + P), back),)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from halfshaft.library.component import Assumed, Component, Face, Variable, arguments
-from halfshaft.library.expressions import where
-from halfshaft.library.ports import Expr, Port, Shaft
+from halfshaft.library.base.component import Assumed, Component, Face, Variable, arguments
+from halfshaft.library.base.expressions import where
+from halfshaft.library.base.ports import Expr, Port, Shaft
 
 
 class Link(NamedTuple):

@@ -24,13 +24,13 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.body import BodyParameters
-from halfshaft.library.component import Assumed, Component, State, Variable, face, plant
-from halfshaft.library.expressions import Turning, clip, where
-from halfshaft.library.links import Link, deliver, drag, inertia
-from halfshaft.library.parameters import Parameters, Relation, param, table
-from halfshaft.library.ports import Expr, Port, Shaft, Tyre
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import Assumed, Component, State, Variable, face, plant
+from halfshaft.library.base.expressions import Turning, clip, where
+from halfshaft.library.base.links import Link, deliver, drag, inertia
+from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.ports import Expr, Port, Shaft, Tyre
+from halfshaft.library.base.tables import Axis, Table
+from halfshaft.library.chassis.body import BodyParameters
 
 SPEED, SHARE = Axis("v", "m/s"), Axis("adhesion", "1")
 

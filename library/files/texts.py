@@ -9,7 +9,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import BinaryIO
 
-from halfshaft.library.errors import InputError
+from halfshaft.library.base.errors import InputError
 
 #: What a name may look like; it stands in FMUs, in tables and on the terminal.
 NAME = re.compile(r"\w[\w .+()-]{0,99}")

@@ -23,12 +23,12 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import State, Variable, face, plant
-from halfshaft.library.expressions import LIFTED, Turning, clip, lifted, where
-from halfshaft.library.links import Link, TwoSided, inertia, limit
-from halfshaft.library.parameters import Parameters, Relation, param, table
-from halfshaft.library.ports import Electric, Expr, Port, Shaft
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import State, Variable, face, plant
+from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
+from halfshaft.library.base.links import Link, TwoSided, inertia, limit
+from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
+from halfshaft.library.base.tables import Axis, Table
 
 SPEED, TORQUE = Axis("omega", "rad/s"), Axis("tau", "N.m")
 

@@ -34,12 +34,12 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import State, face
-from halfshaft.library.expressions import Direction, Turning, clip, where
-from halfshaft.library.links import Link, TwoSided, inertia, limit
-from halfshaft.library.parameters import Parameters, param, params, table
-from halfshaft.library.ports import Expr, Port, Shaft
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import State, face
+from halfshaft.library.base.expressions import Direction, Turning, clip, where
+from halfshaft.library.base.links import Link, TwoSided, inertia, limit
+from halfshaft.library.base.parameters import Parameters, param, params, table
+from halfshaft.library.base.ports import Expr, Port, Shaft
+from halfshaft.library.base.tables import Axis, Table
 
 #: Output speed [rad/s] below which the power of equation (2) fades to nothing, so that the torque stays finite.
 OMEGA_FLOOR = 0.2

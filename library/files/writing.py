@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from halfshaft.library.errors import InputError
+from halfshaft.library.base.errors import InputError
 
 
 def target_problem(path: Path) -> str:

@@ -16,9 +16,9 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, Variable, face, plant
-from halfshaft.library.parameters import Parameters
-from halfshaft.library.ports import Electric, Expr, Port
+from halfshaft.library.base.component import Component, Variable, face, plant
+from halfshaft.library.base.parameters import Parameters
+from halfshaft.library.base.ports import Electric, Expr, Port
 
 
 @dataclass(frozen=True, kw_only=True)

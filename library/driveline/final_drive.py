@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from halfshaft.library.expressions import Turning
-from halfshaft.library.links import Link, TwoSided, drag, inertia, ratio
-from halfshaft.library.parameters import Parameters, param
-from halfshaft.library.ports import Port, Shaft
+from halfshaft.library.base.expressions import Turning
+from halfshaft.library.base.links import Link, TwoSided, drag, inertia, ratio
+from halfshaft.library.base.parameters import Parameters, param
+from halfshaft.library.base.ports import Port, Shaft
 
 
 @dataclass(frozen=True, kw_only=True)

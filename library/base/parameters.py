@@ -16,9 +16,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from halfshaft.library.errors import InputError
-from halfshaft.library.notebook import Grid, card
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.tables import Axis, Table
+from halfshaft.library.files.notebook import Grid, card
 
 
 class Spec(NamedTuple):

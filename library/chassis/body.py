@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.component import Assumed, Component, State, Variable, face, plant
-from halfshaft.library.expressions import Turning, where
-from halfshaft.library.parameters import Parameters, Relation, param
-from halfshaft.library.ports import Expr, Port, Tyre
+from halfshaft.library.base.component import Assumed, Component, State, Variable, face, plant
+from halfshaft.library.base.expressions import Turning, where
+from halfshaft.library.base.parameters import Parameters, Relation, param
+from halfshaft.library.base.ports import Expr, Port, Tyre
 
 #: A body never brakes harder than this [m/s^2]; keeps the quadratic real.
 A_FLOOR = -70.0

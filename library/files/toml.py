@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
-from halfshaft.library.parameters import Parameters, Spec, spec_of
-from halfshaft.library.tables import Table
+from halfshaft.library.base.parameters import Parameters, Spec, spec_of
+from halfshaft.library.base.tables import Table
 
 if TYPE_CHECKING:
     from tomlkit.items import InlineTable

@@ -23,15 +23,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from halfshaft.library.catalog import KINDS
-from halfshaft.library.component import Component
-from halfshaft.library.errors import InputError, nearest
-from halfshaft.library.notebook import Grid, card
-from halfshaft.library.parameters import DESCRIBED, Parameters, Spec, described, spec_of
-from halfshaft.library.tables import Table
-from halfshaft.library.texts import cleaned, name_problem, read_text
-from halfshaft.library.toml import toml_text, written
-from halfshaft.library.writing import written_whole
+from halfshaft.library.base.component import Component
+from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, spec_of
+from halfshaft.library.base.tables import Table
+from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.notebook import Grid, card
+from halfshaft.library.files.texts import cleaned, name_problem, read_text
+from halfshaft.library.files.toml import toml_text, written
+from halfshaft.library.files.writing import written_whole
 
 if TYPE_CHECKING:
     import pint

@@ -13,7 +13,7 @@ A face gives ports, variables, signals, private hand-overs, and ``next_x`` for e
 A component may also have a method ``audit``: from what a run recorded at its ports, it tells how far the component's own
 laws are from it, each by name as a power [W] or as `Assumed`.  `halfshaft.cosim.audit` says what the arguments are.
 
-Most components are a chain of *links* between two ports: `halfshaft.library.links.TwoSided` derives every use of the
+Most components are a chain of *links* between two ports: `halfshaft.library.base.links.TwoSided` derives every use of the
 physics from that one chain.
 """
 
@@ -24,8 +24,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
-from halfshaft.library.parameters import Parameters
-from halfshaft.library.ports import Port
+from halfshaft.library.base.parameters import Parameters
+from halfshaft.library.base.ports import Port
 
 Booking: TypeAlias = Literal["", "fuel", "stored", "loss", "kinetic", "potential", "mismatch", "discretisation", "limit"]
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Variable, face, plant
-from halfshaft.library.engine import Engine
-from halfshaft.library.expressions import clip, where
-from halfshaft.library.links import Link, TwoSided, limit
-from halfshaft.library.parameters import Parameters
-from halfshaft.library.ports import Expr, Port, Shaft
+from halfshaft.library.base.component import Variable, face, plant
+from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.links import Link, TwoSided, limit
+from halfshaft.library.base.parameters import Parameters
+from halfshaft.library.base.ports import Expr, Port, Shaft
+from halfshaft.library.engine.engine import Engine
 
 #: Capacity of the engaged clutch over the engine's largest torque, and slip speed of the smooth friction law [rad/s].
 CAPACITY, OMEGA_SLIP = 2.0, 1.0

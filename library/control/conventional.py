@@ -19,11 +19,11 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.component import Component, State, Variable, face
-from halfshaft.library.engine import Engine
-from halfshaft.library.expressions import clip, where
-from halfshaft.library.parameters import Parameters, param
-from halfshaft.library.ports import Expr
+from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.parameters import Parameters, param
+from halfshaft.library.base.ports import Expr
+from halfshaft.library.engine.engine import Engine
 
 OPEN, SLIPPING, ENGAGED = 1, 2, 3
 

@@ -22,14 +22,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from halfshaft.library.component import Component, State, Variable, face
-from halfshaft.library.engine import Engine, EngineParameters
-from halfshaft.library.errors import InputError
-from halfshaft.library.expressions import clip, where
-from halfshaft.library.generator import Generator, GeneratorParameters
-from halfshaft.library.parameters import Parameters, Relation, param, table
-from halfshaft.library.ports import Expr
-from halfshaft.library.tables import Axis, Table
+from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.ports import Expr
+from halfshaft.library.base.tables import Axis, Table
+from halfshaft.library.electric.generator import Generator, GeneratorParameters
+from halfshaft.library.engine.engine import Engine, EngineParameters
 
 #: Of a genset's locus: speeds to choose from and power, at most, and the least efficiency that it reckons with [1, W, 1].
 MOST_SPEEDS, MOST_POWER, LOWEST_EFFICIENCY = 20_000, 1e12, 1e-3

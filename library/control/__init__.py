@@ -1,0 +1,1 @@
+"""Controls: which gear, when the engine runs, who gives the torque."""

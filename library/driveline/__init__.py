@@ -1,0 +1,1 @@
+"""What turns between engine or motor and the wheels."""

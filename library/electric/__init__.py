@@ -1,0 +1,1 @@
+"""Machines, stores and loads on the electric bus."""

@@ -1,0 +1,1 @@
+"""The combustion engine and what it drives."""
