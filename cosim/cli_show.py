@@ -19,7 +19,8 @@ from halfshaft.library.base.tables import Table as Map
 from halfshaft.library.files.catalog import KINDS
 from halfshaft.library.files.component_file import LARGEST, ComponentFile, component_names, read_component
 from halfshaft.library.files.texts import read_text
-from halfshaft.models.vehicle import RULES, Vehicle, vehicle_names
+from halfshaft.models.powertrain import powertrains
+from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 Rows = tuple[list[str], list[list[str]]]
 
@@ -123,7 +124,7 @@ def any_component(name: str) -> ComponentFile:
         return read_component(name)
     except InputError:
         # What other parts of a vehicle decide may be left open.
-        return read_component(name, [rule.target.partition(".")[2] for rule in RULES.values()])
+        return read_component(name, [d.parameter for powertrain in powertrains().values() for d in powertrain.derived])
 
 
 def _head(name: str, title: str, facts: Iterable[tuple[str, str]]) -> None:

@@ -21,7 +21,6 @@ from halfshaft.cosim.ways import Via as Via
 from halfshaft.library.base.errors import InputError, nearest, not_a, number
 from halfshaft.library.base.parameters import Parameters, tables
 from halfshaft.models.assembly import Description, Step
-from halfshaft.models.powertrains import model_of, structure_of
 from halfshaft.models.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ class Build:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle = vehicle
-        self._key = structure_of(vehicle)
+        self._key = vehicle.structure
 
     def __hash__(self) -> int:
         """Return the hash of what is built in."""
@@ -46,12 +45,12 @@ class Build:
 
 @lru_cache(maxsize=64)
 def _stepper(build: Build) -> Stepper:
-    return stepper(model_of(build.vehicle), build.vehicle.title)
+    return stepper(build.vehicle.model(), build.vehicle.title)
 
 
 @lru_cache(maxsize=64)
 def _auditor(build: Build) -> Auditor:
-    return Auditor(model_of(build.vehicle), _stepper(build).step)
+    return Auditor(build.vehicle.model(), _stepper(build).step)
 
 
 def audit_of(vehicle: Vehicle, samples: Samples, rows: Array) -> Audit:
@@ -67,7 +66,7 @@ def _forward(build: Build) -> Forward:
     # Only here, because a run of the step needs nothing of it.
     from halfshaft.cosim.forward import Forward
 
-    return Forward(model_of(build.vehicle), build.vehicle.title)
+    return Forward(build.vehicle.model(), build.vehicle.title)
 
 
 def stepper_of(vehicle: Vehicle) -> Stepper:

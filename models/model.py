@@ -7,10 +7,11 @@ no lines, a part reads what another publishes by name (the control bus of a vehi
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 from halfshaft.library.base.component import Component
-from halfshaft.library.base.errors import WiringError
-from halfshaft.library.base.ports import Port, PortOf
+from halfshaft.library.base.errors import WiringError, nearest
+from halfshaft.library.base.ports import Port, PortOf, Side
 
 
 class Connection:
@@ -62,6 +63,33 @@ class Model:
                     self._problems.append(f"{both}: {names[id(end)]} is connected already")
                     return
         self.connections.append(Connection(self._place(load), load.port, self._place(supply), supply.port))
+
+    def chain(self, *places: str) -> None:
+        """Connect parts one after the other, from the wheel to the source.
+
+        A place is a part by name; ``part.port`` says which of several ports toward the source the chain goes on from, or which
+        of several toward the wheel it arrives at.
+        """
+        for one, other in pairwise(places):
+            ends = [self._end(one, "source"), self._end(other, "wheel")]
+            if ends[0] and ends[1]:
+                self.connect(ends[0], ends[1])
+
+    def _end(self, place: str, side: Side) -> PortOf | None:
+        """Return the port of a place in a chain that looks toward a side."""
+        name, _, given = place.partition(".")
+        if name not in self.parts:
+            self._problems.append(f"{name} is no part of this model{nearest(name, self.parts)}")
+            return None
+        part = self.parts[name]
+        ports = [port for port in part.ports().values() if port.side == side]
+        named = [port for port in ports if port.name == given]
+        if len(named or ports) == 1:
+            return PortOf(part, (named or ports)[0])
+        toward = f"port toward the {side}"
+        said = f"has the {toward}s {' and '.join(port.name for port in ports)}; say which" if ports else f"has no {toward}"
+        self._problems.append(f"{name} {said}")
+        return None
 
     def check(self) -> list[str]:
         """Return what is wrong with the connections."""

@@ -9,104 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cached_property, lru_cache
-from importlib.resources import files
+from functools import cached_property
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, numbers, param, spec_of
-from halfshaft.library.base.tables import Table
-from halfshaft.library.chassis.wheel import WheelParameters
-from halfshaft.library.control.series import genset_locus
+from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, numbers, spec_of, tables
 from halfshaft.library.control.shift import ShiftParameters
-from halfshaft.library.driveline.final_drive import FinalDriveParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
-from halfshaft.library.electric.generator import GeneratorParameters
-from halfshaft.library.electric.motor import MotorParameters
 from halfshaft.library.engine.engine import EngineParameters
 from halfshaft.library.files.component_file import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
 from halfshaft.library.files.notebook import Grid, card
 from halfshaft.library.files.texts import cleaned, name_problem
 from halfshaft.library.files.toml import inline, quantity, toml_text, written
+from halfshaft.models.model import Model
+from halfshaft.models.powertrain import Powertrain, powertrains, vehicle_files
+from halfshaft.models.rules import Rule, Sets
 
 Parts: TypeAlias = Mapping[str, ComponentFile]
-Sets: TypeAlias = Mapping[str, Parameters]
-
-_ELECTRIC = {
-    "body": ("body",),
-    "wheel": ("wheel",),
-    "final_drive": ("final-drive",),
-    "gearbox": ("gearbox-polynomial", "gearbox-map"),
-    "shift": ("fixed-gear", "shift"),
-    "motor": ("motor",),
-    "accessories": ("electric-accessories",),
-    "bus": ("bus",),
-    "battery": ("battery",),
-}
-#: Roles of each powertrain and the kinds of components that may fill them.
-POWERTRAINS: dict[str, dict[str, tuple[str, ...]]] = {
-    "electric": _ELECTRIC,
-    "series": {**_ELECTRIC, "control": ("series-control",), "engine": ("engine",), "generator": ("generator",)},
-    "conventional": {
-        "body": ("body",),
-        "wheel": ("wheel",),
-        "final_drive": ("final-drive",),
-        "gearbox": ("gearbox-polynomial", "gearbox-map"),
-        "shift": ("shift",),
-        "clutch": ("clutch",),
-        "accessories": ("mechanical-accessories",),
-        "engine": ("engine",),
-        "control": ("conventional-control",),
-    },
-}
-
-
-class Rule(Protocol):
-    """Derives the value of one parameter from other parts."""
-
-    target: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]]
-
-    def __call__(self, sets: Sets) -> Any:
-        """Return the value."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TopSpeed(Parameters):
-    """The gear ratio at which the motor reaches its top speed when the vehicle drives at `v`."""
-
-    target: ClassVar[str] = "gearbox.ratios"
-    needs: ClassVar[tuple[str, ...]] = ("motor", "wheel", "final_drive")
-    v: float = param("m/s", "speed of the vehicle", ge=0.1, le=1e3)
-    slip: float = param("1", "slip of the tyres at that speed", 0.0, ge=0, le=10)
-
-    def __call__(self, sets: Sets) -> tuple[float]:
-        """Return the ratio of a single-speed gearbox."""
-        motor, wheel = cast(MotorParameters, sets["motor"]), cast(WheelParameters, sets["wheel"])
-        final_drive = cast(FinalDriveParameters, sets["final_drive"])
-        return (motor.omega_max * motor.speed_scale / (self.v / wheel.r * (1 + self.slip)) / final_drive.i,)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GensetLocus(Parameters):
-    """The genset speeds of least fuel."""
-
-    target: ClassVar[str] = "control.omega_locus"
-    needs: ClassVar[tuple[str, ...]] = ("engine", "generator")
-
-    def __call__(self, sets: Sets) -> Table:
-        """Return the speed over engine power."""
-        return _locus(cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"]))
-
-
-# The locus takes longer than all else here, and most changes leave engine and generator alone.
-_locus = lru_cache(maxsize=16)(genset_locus)
-
 #: A map of a gearbox serves ratios that are so near to its own.
 OTHER_RATIO = 0.01
 #: Shift lines that fit an engine end between this share of its top speed and that speed.
@@ -115,8 +39,6 @@ LAST_SHIFT = 0.9
 OWN = "own figures, on the base"
 #: A vehicle is at most so many bases away from one that has none.
 MOST_BASES = 20
-
-RULES: dict[str, Any] = {"top-speed": TopSpeed, "genset-locus": GensetLocus}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,6 +106,21 @@ class Vehicle:
         """What was made for other parts or numbers than this vehicle has; runs show it among their warnings."""
         return tuple(filter(None, (_map_of_other_ratios(self), _lines_of_another_engine(self))))
 
+    def model(self) -> Model:
+        """Return the parts, connected."""
+        return powertrains()[self.powertrain].model(self.components())
+
+    @cached_property
+    def structure(self) -> tuple[Any, ...]:
+        """What is built into the code of the vehicle: its parts and tables, not its numbers."""
+        return (
+            self.powertrain,
+            *(
+                (role, type(part), tuple(name for name, *_ in numbers(part.p)), tuple((f, t.key) for f, t in tables(part.p)))
+                for role, part in self.components().items()
+            ),
+        )
+
     def components(self) -> dict[str, Component]:
         """Return the components by role, from the wheel to the source."""
         return {role: part.component(self.parameters[role]) for role, part in self.parts.items()}
@@ -199,12 +136,13 @@ class Vehicle:
     def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library or paths of files."""
         reader = Reader()
-        new = _parts(reader, self.powertrain, parts, "", Path())
+        powertrain = powertrains()[self.powertrain]
+        new = _parts(reader, powertrain, parts, "", Path())
         reader.finish(f"vehicle '{self.name}'")
         return replace(
             self,
             source=_source_on(self),
-            parts=_ordered(self.powertrain, {**self.parts, **new}),
+            parts=_ordered(powertrain, {**self.parts, **new}),
             given=_without(self.given, new),
             rules=_without(self.rules, new),
         )
@@ -217,9 +155,8 @@ class Vehicle:
         head = {"schema": SCHEMA, "kind": "vehicle", "name": self.name, "title": self.title, "source": self.source}
         derive = {}
         for target, rule in self.rules.items():
-            values = {f.name: getattr(rule, f.name) for f in fields(cast(Parameters, rule))}
-            name = next(name for name, kind in RULES.items() if isinstance(rule, kind))
-            derive[target] = inline({"rule": name, **written(RULES[name], values)})
+            values = {f.name: getattr(rule, f.name) for f in fields(rule)}
+            derive[target] = inline({"rule": rule.name, **written(type(rule), values)})
         sections: dict[str, Mapping[str, Any]] = {
             "parts": {role: part.place(folder) for role, part in self.parts.items()},
             "set": {name: quantity(value, self.specs[name]) for name, value in self.given.items()},
@@ -246,12 +183,7 @@ class Vehicle:
 
 def vehicle_names() -> list[str]:
     """Return the names of the library's vehicles."""
-    return sorted(_library())
-
-
-def _library() -> dict[str, Traversable]:
-    folder = files("halfshaft.models") / "data" / "vehicles"
-    return {p.name.removesuffix(".toml"): p for p in folder.iterdir() if p.name.endswith(".toml")}
+    return list(vehicle_files())
 
 
 def _specs(parts: Parts) -> dict[str, Spec]:
@@ -278,59 +210,62 @@ def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str
     return {name: reader.number(x, specs[name], where + name, plain=plain) for name, x in values.items() if name in specs}
 
 
-def _parts(reader: Reader, powertrain: str, names: Mapping[str, Any], where: str, folder: Path | Traversable) -> dict[str, ComponentFile]:
+def _parts(
+    reader: Reader, powertrain: Powertrain, names: Mapping[str, Any], where: str, folder: Path | Traversable
+) -> dict[str, ComponentFile]:
     """Return the parts by role; names that end in ``.toml`` are relative to `folder`."""
-    roles = POWERTRAINS[powertrain]
-    reader.keys(names, roles, where)
+    reader.keys(names, powertrain.roles, where)
     parts = {}
     for role, name in names.items():
-        if role not in roles:
+        if role not in powertrain.roles:
             continue
+        kinds = powertrain.kinds(role)
         if not isinstance(name, str | Path):
             reader.problems.append(f"{where}{role} = {shown(name)}, must be the name of a component")
             continue
         path = folder / Path(name) if isinstance(folder, Path) and str(name).endswith(".toml") else name
-        derived = [rule.target.removeprefix(f"{role}.") for rule in RULES.values() if rule.target.startswith(f"{role}.")]
         try:
-            part = read_component(path, derived)
+            part = read_component(path, powertrain.derivable(role))
         except InputError as e:
             reader.problems.extend(f"{where}{role}: {e.where}: {p}" for p in e.problems)
             continue
-        if part.kind in roles[role]:
+        if part.kind in kinds:
             parts[role] = part
         else:
-            fitting = [n for kind in roles[role] for n in component_names(kind)]
+            fitting = [n for kind in kinds for n in component_names(kind)]
             reader.problems.append(
-                f"{where}{role} = {shown(str(name))} is of kind {part.kind}, "
-                f"must be {' or '.join(roles[role])}{nearest(str(name), fitting)}"
+                f"{where}{role} = {shown(str(name))} is of kind {part.kind}, must be {' or '.join(kinds)}{nearest(str(name), fitting)}"
             )
     return parts
 
 
-def _ordered(powertrain: str, parts: Parts) -> dict[str, ComponentFile]:
-    return {role: parts[role] for role in POWERTRAINS[powertrain] if role in parts}
+def _ordered(powertrain: Powertrain, parts: Parts) -> dict[str, ComponentFile]:
+    return {role: parts[role] for role in powertrain.roles if role in parts}
 
 
 def _without(named: Mapping[str, Any], roles: Collection[str]) -> dict[str, Any]:
     return {name: x for name, x in named.items() if name.partition(".")[0] not in roles}
 
 
-def _rules(reader: Reader, parts: Parts, data: Mapping[str, Any], where: str) -> dict[str, Rule]:
+def _rules(reader: Reader, powertrain: Powertrain, parts: Parts, data: Mapping[str, Any], where: str) -> dict[str, Rule]:
     names = {f"{role}.{f.name}" for role, part in parts.items() for f in fields(part.component.parameters)}
-    targets = {rule.target for rule in RULES.values()} & names
-    reader.keys(data, targets, where)
+    targets = {d.target: {rule.name: rule for rule in d.rules} for d in powertrain.derived if d.target in names}
+    fixed = [n for n in data if n in names and n not in targets]
+    reader.problems.extend(f"{where}{n}: no rule gives it in the powertrain {powertrain.name}" for n in fixed)
+    reader.keys([n for n in data if n not in fixed], targets, where)
     rules = {}
-    for target, settings in data.items():
-        place, name = f"{where}{target}", settings.get("rule") if isinstance(settings, dict) else None
-        fitting = [n for n, rule in RULES.items() if rule.target == target]
-        if name not in fitting:
-            if target in targets:
-                reader.problems.append(f"{place} has rule {shown(name)}, must be {' or '.join(fitting)}")
+    for target, fitting in targets.items():
+        if target not in data:
+            continue
+        settings, place = data[target], f"{where}{target}"
+        name = settings.get("rule") if isinstance(settings, dict) else None
+        if not isinstance(name, str) or name not in fitting:
+            reader.problems.append(f"{place} has rule {shown(name)}, must be {' or '.join(fitting)}")
             continue
         before = len(reader.problems)
-        values = reader.parameters({k: v for k, v in settings.items() if k != "rule"}, RULES[name], f"{place}.")
+        values = reader.parameters({k: v for k, v in settings.items() if k != "rule"}, fitting[name], f"{place}.")
         if len(reader.problems) == before:
-            rules[target] = RULES[name](**values)
+            rules[target] = fitting[name](**values)
     return rules
 
 
@@ -371,7 +306,7 @@ def _source_on(base: Vehicle | None) -> str:
 def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
     path: Path | Traversable = Path(source)
     if isinstance(source, str) and not source.endswith(".toml"):
-        library = _library()
+        library = vehicle_files()
         if source not in library:
             raise InputError(f"vehicle '{source}'", [f"not in the library{nearest(source, library)}"])
         path = library[source]
@@ -386,26 +321,27 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
         base = _load(beside, (*above, str(path)))
     else:
         reader.required(data, ("source", "powertrain", "parts"), "")
-    powertrain = data.get("powertrain", base.powertrain if base else "")
-    if powertrain not in POWERTRAINS:
+    name = data.get("powertrain", base.powertrain if base else "")
+    if name not in powertrains():
         if "powertrain" in data:
-            reader.problems.append(f"powertrain = {shown(powertrain)} is not known{nearest(powertrain, POWERTRAINS)}")
+            reader.problems.append(f"powertrain = {shown(name)} is not known{nearest(name, powertrains())}")
         reader.finish(str(path))
-    elif base and powertrain != base.powertrain:
-        reader.problems.append(f'powertrain = {shown(powertrain)}, must be that of its base, "{base.powertrain}"')
+    elif base and name != base.powertrain:
+        reader.problems.append(f'powertrain = {shown(name)}, must be that of its base, "{base.powertrain}"')
+    powertrain = powertrains()[name]
     new = _parts(reader, powertrain, data.get("parts", {}), "parts.", folder)
     parts = _ordered(powertrain, {**(base.parts if base else {}), **new})
-    reader.required({**parts, **data.get("parts", {})}, POWERTRAINS[powertrain], "parts.")
-    lost = (POWERTRAINS[powertrain].keys() - parts) | (data.get("parts", {}).keys() - new)
+    reader.required({**parts, **data.get("parts", {})}, powertrain.roles, "parts.")
+    lost = (powertrain.roles.keys() - parts) | (data.get("parts", {}).keys() - new)
     given = _numbers(reader, parts, _without(_flat(data.get("set", {})), lost), "set.")
-    rules = _rules(reader, parts, _without(_flat(data.get("derive", {})), lost), "derive.")
+    rules = _rules(reader, powertrain, parts, _without(_flat(data.get("derive", {})), lost), "derive.")
     reader.finish(str(path))
     try:
         return Vehicle(
             name=data["name"],
             title=data["title"],
             source=data["source"] if "source" in data else _source_on(base),
-            powertrain=powertrain,
+            powertrain=powertrain.name,
             parts=parts,
             given={**(_without(base.given, new) if base else {}), **given},
             rules={**(_without(base.rules, new) if base else {}), **rules},
@@ -427,8 +363,9 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
         else:
             values[role][parameter] = x
     rules = dict(vehicle.rules)
-    if "control" in values and vehicle.powertrain == "series" and "omega_locus" not in values["control"]:
-        rules.setdefault(GensetLocus.target, GensetLocus())
+    for d in powertrains()[vehicle.powertrain].derived:
+        if d.parameter not in values[d.role]:
+            rules.setdefault(d.target, d.rules[0]())
     rows_set = {name.rpartition("_")[0] for name in vehicle.given}
     rules = {target: rule for target, rule in rules.items() if target not in rows_set}
     sets: dict[str, Parameters] = {}
@@ -446,10 +383,6 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
     if not problems:
         for target, rule in rules.items():
             role, _, parameter = target.partition(".")
-            lacking = [r for r in rule.needs if r not in sets]
-            if lacking:
-                problems.append(f"{target}: its rule needs {' and '.join(lacking)}, which this vehicle does not have")
-                continue
             try:
                 value = rule(sets)
             except InputError as e:

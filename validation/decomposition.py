@@ -20,7 +20,6 @@ from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
 from halfshaft.models.assembly import Step
-from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle
 
 #: Longer than any cycle [s]: the shift logic changes nothing by itself.
@@ -72,11 +71,11 @@ def fuel_of(car: Vehicle, cycle: Cycle) -> Fuel:
     # The gear of the step in which each short step lies.
     at = np.searchsorted(whole.time, fine.t - 1e-6)
     gears = whole["shift.gear"][np.minimum(at, len(whole.time) - 1)]
-    forward = Forward(model_of(car), car.title)
+    forward = Forward(car.model(), car.title)
     parameters = parameters_of(car, forward.stepper.step, fine.v_start)
 
     def driven(driver: Driver, gears: Array | None = None) -> float:
-        made = Forward(model_of(car), car.title, driver=driver)
+        made = Forward(car.model(), car.title, driver=driver)
         if gears is not None:
             made.stepper = Geared(made.stepper, gears)  # type: ignore[assignment]
         done = made.run(fine, parameters)

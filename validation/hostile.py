@@ -26,8 +26,8 @@ from halfshaft.library.base.errors import HalfshaftError
 from halfshaft.library.base.tables import interpolants
 from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.models.assembly import assemble
-from halfshaft.models.powertrains import model_of
-from halfshaft.models.vehicle import POWERTRAINS, Vehicle, vehicle_names
+from halfshaft.models.powertrain import powertrains, vehicle_files
+from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 #: What takes the place of a number, a text or a whole value.
 NUMBERS = (
@@ -94,8 +94,7 @@ def _sources() -> list[tuple[str, str, Callable[[Path], Vehicle | Cycle | None]]
         # A large map takes long to read, and is no other than a small one.
         if len(text) < SMALL:
             found.append((f"{file.name}.toml", text, partial(_in_vehicle, file.kind)))
-    folder = files("halfshaft.models") / "data" / "vehicles"
-    vehicles = [(f"{n}.toml", (folder / f"{n}.toml").read_text(encoding="utf-8"), Vehicle.load) for n in vehicle_names()]
+    vehicles = [(path.name, path.read_text(encoding="utf-8"), Vehicle.load) for path in vehicle_files().values()]
     folder = files("halfshaft.cosim") / "data"
     lines = (folder / "cycles" / "im240.csv").read_text(encoding="utf-8").split("\n")
     grade = (folder / "grades" / "hwfet-mtn.csv").read_text(encoding="utf-8")
@@ -111,9 +110,10 @@ def _sources() -> list[tuple[str, str, Callable[[Path], Vehicle | Cycle | None]]
 
 def _in_vehicle(kind: str, path: Path) -> Vehicle | None:
     for base in ("small-car-series", "small-car-conventional", "paper-series-1459"):
-        roles = {role: kinds for role, kinds in POWERTRAINS[_vehicle(base).powertrain].items() if kind in kinds}
+        powertrain = powertrains()[_vehicle(base).powertrain]
+        roles = [role for role in powertrain.roles if kind in powertrain.kinds(role)]
         if roles and (kind != "shift" or "conventional" in base):
-            return _vehicle(base).with_parts({next(iter(roles)): path})
+            return _vehicle(base).with_parts({roles[0]: path})
     return None
 
 
@@ -129,7 +129,7 @@ def _drive(car: Vehicle, cycle: Cycle) -> None:
         result = run(car, cycle)
         rows, open_by = result.history, result.account.balance_relative
     else:
-        step = assemble(model_of(car), car.title, interpolants)
+        step = assemble(car.model(), car.title, interpolants)
         samples = cycle.sampled(1.0)
         history = InterpretedStep(step).march(samples, parameters_of(car, step, samples.v_start)).history
         assert history is not None

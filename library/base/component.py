@@ -111,6 +111,9 @@ class Component:
     """Base of all components; subclasses declare ports as class attributes and faces as methods."""
 
     p: Any
+    #: What a file calls it, and what it can stand for: a role of a powertrain takes kinds or families.
+    kind: ClassVar[str] = ""
+    family: ClassVar[str] = ""
     parameters: ClassVar[type[Parameters]]
     states: ClassVar[tuple[State, ...]] = ()
     variables: ClassVar[tuple[Variable, ...]] = ()

@@ -68,6 +68,7 @@ class BodyParameters(Parameters):
 class Body(Component):
     """The vehicle as a mass on the road; speeds are never negative."""
 
+    kind = "body"
     p: BodyParameters
     parameters = BodyParameters
     tyre = Port(Tyre, "source")

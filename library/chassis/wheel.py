@@ -86,6 +86,7 @@ class Split(NamedTuple):
 class Wheel(Component):
     """Wheels, axles, tyres and brakes between the road and the final drive."""
 
+    kind = "wheel"
     p: WheelParameters
     parameters = WheelParameters
     tyre = Port(Tyre, "wheel")

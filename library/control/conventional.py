@@ -42,6 +42,7 @@ class ConventionalControlParameters(Parameters):
 class ConventionalControl(Component):
     """Clutch logic, engine on and off, and the engine's speed command."""
 
+    kind = "conventional-control"
     p: ConventionalControlParameters
     parameters = ConventionalControlParameters
     states = (

@@ -60,6 +60,7 @@ class SeriesControlParameters(Parameters):
 class SeriesControl(Component):
     """Decides when the engine runs, and at which point."""
 
+    kind = "series-control"
     p: SeriesControlParameters
     parameters = SeriesControlParameters
     states = (

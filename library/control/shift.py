@@ -49,6 +49,8 @@ class FixedGearParameters(Parameters):
 class FixedGear(Component):
     """Always the first gear."""
 
+    kind = "fixed-gear"
+    family = "gear-choice"
     p: FixedGearParameters
     parameters = FixedGearParameters
     laws = ("ratio", "gear")
@@ -63,6 +65,8 @@ class FixedGear(Component):
 class Shift(Component):
     """Chooses a gear by load and speed."""
 
+    kind = "shift"
+    family = "gear-choice"
     p: ShiftParameters
     parameters = ShiftParameters
     states = (

@@ -35,6 +35,7 @@ class ClutchParameters(Parameters):
 class Clutch(TwoSided):
     """Clutch between gearbox and engine."""
 
+    kind = "clutch"
     p: ClutchParameters
     parameters = ClutchParameters
     output = Port(Shaft, "wheel")

@@ -31,6 +31,7 @@ class FinalDriveParameters(Parameters):
 class FinalDrive(TwoSided):
     """Fixed gear between axle and gearbox."""
 
+    kind = "final-drive"
     p: FinalDriveParameters
     parameters = FinalDriveParameters
     output = Port(Shaft, "wheel")

@@ -137,6 +137,8 @@ class _Gearbox(TwoSided):
 class PolynomialGearbox(_Gearbox):
     """Gearbox with the loss of equation (2)."""
 
+    kind = "gearbox-polynomial"
+    family = "gearbox"
     p: PolynomialGearboxParameters
     parameters = PolynomialGearboxParameters
 
@@ -152,6 +154,8 @@ class PolynomialGearbox(_Gearbox):
 class MapGearbox(_Gearbox):
     """Gearbox with the loss of equation (3)."""
 
+    kind = "gearbox-map"
+    family = "gearbox"
     p: MapGearboxParameters
     parameters = MapGearboxParameters
 

@@ -28,6 +28,7 @@ class ElectricAccessoriesParameters(Parameters):
 class ElectricAccessories(TwoSided):
     """Electric load between the motor and the bus."""
 
+    kind = "electric-accessories"
     p: ElectricAccessoriesParameters
     parameters = ElectricAccessoriesParameters
     load = Port(Electric, "wheel")

@@ -91,6 +91,7 @@ class Limits(NamedTuple):
 class Battery(Component):
     """Battery pack at the bus."""
 
+    kind = "battery"
     p: BatteryParameters
     parameters = BatteryParameters
     dc = Port(Electric, "wheel")

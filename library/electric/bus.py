@@ -30,6 +30,7 @@ class BusParameters(Parameters):
 class Bus(Component):
     """Node between motor, battery and, in a series hybrid, generator."""
 
+    kind = "bus"
     p: BusParameters
     parameters = BusParameters
     load = Port(Electric, "wheel")

@@ -45,6 +45,7 @@ class GeneratorParameters(Parameters):
 class Generator(Component):
     """Generator and controller between engine and bus."""
 
+    kind = "generator"
     p: GeneratorParameters
     parameters = GeneratorParameters
     dc = Port(Electric, "wheel")

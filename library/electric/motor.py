@@ -60,6 +60,7 @@ class MotorParameters(Parameters):
 class Motor(TwoSided):
     """Motor and controller between the gearbox's shaft and the supply."""
 
+    kind = "motor"
     p: MotorParameters
     parameters = MotorParameters
     shaft = Port(Shaft, "wheel")

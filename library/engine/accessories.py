@@ -31,6 +31,7 @@ class MechanicalAccessoriesParameters(Parameters):
 class MechanicalAccessories(TwoSided):
     """Load on the engine's shaft, between clutch (or generator) and engine."""
 
+    kind = "mechanical-accessories"
     p: MechanicalAccessoriesParameters
     parameters = MechanicalAccessoriesParameters
     load = Port(Shaft, "wheel")

@@ -68,6 +68,7 @@ class EngineParameters(Parameters):
 class Engine(Component):
     """Engine behind a clutch or a generator."""
 
+    kind = "engine"
     p: EngineParameters
     parameters = EngineParameters
     shaft = Port(Shaft, "wheel")

@@ -15,7 +15,6 @@ import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache, cached_property
-from importlib.resources import files
 from importlib.resources.abc import Traversable
 from itertools import pairwise
 from pathlib import Path
@@ -27,7 +26,7 @@ from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, spec_of
 from halfshaft.library.base.tables import Table
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import KINDS, data_files, sources
 from halfshaft.library.files.notebook import Grid, card
 from halfshaft.library.files.texts import cleaned, name_problem, read_text
 from halfshaft.library.files.toml import toml_text, written
@@ -380,11 +379,16 @@ def parse_quantity(value: str | float, unit: str, where: str) -> float:
     return number
 
 
+@cache
 def _library() -> dict[str, tuple[str, Traversable]]:
     """Return kind and place of all components of the library by name."""
-    root = files("halfshaft.library") / "data"
-    found = [(kind, p) for kind in KINDS if (root / kind).is_dir() for p in (root / kind).iterdir() if p.name.endswith(".toml")]
-    return {p.name.removesuffix(".toml"): (kind, p) for kind, p in sorted(found, key=lambda x: x[1].name)}
+    found: dict[str, tuple[str, Traversable]] = {}
+    for kind, path in ((k, path) for package in sources() for k in KINDS for path in data_files(package, k)):
+        name = path.name.removesuffix(".toml")
+        if name in found:
+            raise InputError(f"component '{name}'", [f"stands twice in the library: {found[name][1]} and {path}; rename one"])
+        found[name] = (kind, path)
+    return dict(sorted(found.items()))
 
 
 def component_names(kind: str | None = None) -> list[str]:

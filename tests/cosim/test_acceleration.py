@@ -3,7 +3,6 @@ import pytest
 from halfshaft import Vehicle, accelerate
 from halfshaft.cosim import acceleration
 from halfshaft.cosim.compiled import InterpretedStep
-from halfshaft.models.powertrains import model_of
 
 CAR = Vehicle.load("small-car-electric")
 
@@ -22,7 +21,7 @@ def test_refined_is_the_default_and_the_hybrid_time_stands_beside():
 def test_without_a_compiler_the_default_is_the_hybrid_method(monkeypatch):
     from halfshaft.models.assembly import assemble
 
-    interpreted = InterpretedStep(assemble(model_of(CAR)))
+    interpreted = InterpretedStep(assemble(CAR.model()))
     for place in ("acceleration", "simulate"):
         monkeypatch.setattr(f"halfshaft.cosim.{place}.stepper_of", lambda _: interpreted)
     found = accelerate(CAR)

@@ -20,7 +20,6 @@ from halfshaft.library.electric.bus import Bus
 from halfshaft.library.electric.generator import Generator
 from halfshaft.library.electric.motor import Motor
 from halfshaft.library.engine.engine import Engine
-from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 vehicle_of, cycle_of = cache(Vehicle.load), cache(Cycle.load)
@@ -46,13 +45,13 @@ def test_a_refined_run_moves_next_to_no_loss(vehicle):
 def audit(name, cycle="us06", dt=1.0):
     """Return the audit of a car that is assembled and compiled anew, with what is patched at this moment."""
     car, samples = vehicle_of(name), cycle_of(cycle).sampled(dt)
-    made = stepper(model_of(car))
+    made = stepper(car.model())
     parameters = parameters_of(car, made.step, samples.v_start)
     rows = made.march(samples, parameters).history
     names = [d.name for d in made.step.outputs]
     balance = sum((-1 if d.booking not in ("fuel", "stored") else 1) * rows[:, i] for i, d in enumerate(made.step.outputs) if d.booking)
     closed = abs(samples.dt @ balance) < 1e-9 * np.abs(rows[:, names.index("body.P_in")]).sum()
-    return Auditor(model_of(car), made.step)(samples, rows, made.first(parameters), parameters), closed
+    return Auditor(car.model(), made.step)(samples, rows, made.first(parameters), parameters), closed
 
 
 def test_a_tyre_force_that_is_a_fifth_too_large_is_found(monkeypatch):

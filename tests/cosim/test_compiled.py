@@ -12,7 +12,6 @@ from halfshaft.cosim.simulate import parameters_of, stepper_of
 from halfshaft.library.base.errors import SolveError
 from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import assemble
-from halfshaft.models.powertrains import model_of
 
 CAR = Vehicle.load("small-car-electric")
 #: Numbers that are the same as integers and in single precision.
@@ -143,7 +142,7 @@ def test_an_output_that_is_not_finite_is_an_error_that_names_it(history, what, l
 
 
 def test_an_interpreted_run_looks_at_its_outputs_too():
-    stepper = InterpretedStep(assemble(model_of(CAR), CAR.title, interpolants))
+    stepper = InterpretedStep(assemble(CAR.model(), CAR.title, interpolants))
     march = stepper.march(*broken(stepper.step, SAMPLES, "efficiency"))
     with pytest.raises(SolveError, match="by t = 1 s not finite"):
         _ = march.sums

@@ -17,7 +17,7 @@ from halfshaft.library.base.tables import Table
 from halfshaft.library.driveline.gearbox import PolynomialGearbox, PolynomialGearboxParameters
 from halfshaft.library.electric.battery import Battery
 from halfshaft.models.assembly import step_turning
-from halfshaft.models.electric import electric
+from halfshaft.models.powertrains.electric import electric
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 CAR = Vehicle.load("small-car-electric")
@@ -57,7 +57,7 @@ class Made:
     """A model that no vehicle file describes, ready to run."""
 
     def __init__(self, parts):
-        self.stepper = stepper(electric(parts))
+        self.stepper = stepper(electric.model(parts))
         self.parameters = np.array([d.start for d in self.stepper.step.parameters])
 
     def run(self, cycle, dt):
@@ -208,7 +208,7 @@ def test_a_pack_that_warms_has_the_charge_of_its_present_capacity():
     np.testing.assert_allclose(series["battery.soc"], 1 - 0.25 * 5e5 / (5e5 + 5e5 * (series["battery.T"] - 273.15) / 40), rtol=1e-12)
     assert series["battery.soc"][-1] == pytest.approx(0.875, abs=1e-9)
     # Forward-facing the same.
-    forward = Forward(electric(idle(battery)))
+    forward = Forward(electric.model(idle(battery)))
     done = forward.run(STILL.sampled(forward.driver.dt), made.parameters)
     soc = done.history[:, [d.name for d in forward.plant.shown].index("battery.soc")]
     assert soc[-1] == pytest.approx(0.875, abs=1e-6)
@@ -275,7 +275,7 @@ def test_the_step_goes_over_into_the_forward_facing_model_with_first_order():
     # The plant neglects the slip's rate; without slip nothing is left between the two but the step's length.
     parts = smooth_car().components()
     parts["wheel"] = replace(parts["wheel"], p=replace(parts["wheel"].p, slip=constant(0)))
-    made, forward = Made(parts), Forward(electric(parts))
+    made, forward = Made(parts), Forward(electric.model(parts))
     made.parameters[made.stepper.step.parameter_index["body.v_start"]] = SMOOTH.speed[0]
     samples = SMOOTH.sampled(forward.driver.dt)
     done = forward.run(samples, made.parameters)

@@ -6,7 +6,6 @@ from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import parameters_of, stepper_of
 from halfshaft.library.base.errors import SolveError
 from halfshaft.models.assembly import REQUESTED, assemble
-from halfshaft.models.powertrains import model_of
 from halfshaft.models.vehicle import Vehicle
 
 VEHICLES = {"electric": "small-car-electric", "series": "small-car-series-follower", "conventional": "small-car-conventional"}
@@ -74,7 +73,7 @@ def test_sums_and_maxima_are_those_of_the_history(powertrain, marches):
 @every_powertrain
 def test_without_a_compiler_the_step_is_the_same_to_rounding(powertrain, marches):
     _, parameters, march = marches[powertrain]
-    alone = InterpretedStep(assemble(model_of(Vehicle.load(VEHICLES[powertrain])))).march(UDDS, parameters)
+    alone = InterpretedStep(assemble(Vehicle.load(VEHICLES[powertrain]).model())).march(UDDS, parameters)
     # Interpolants round otherwise than the C; nothing in a cycle amplifies that.
     scale = np.abs(march.history).max(axis=0).clip(1)
     np.testing.assert_allclose(alone.history / scale, march.history / scale, rtol=0, atol=1e-9)

@@ -4,7 +4,8 @@ import pytest
 
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.parameters import tables
-from halfshaft.models.vehicle import POWERTRAINS, Vehicle, vehicle_names
+from halfshaft.models.powertrain import powertrains
+from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 SERIES = Vehicle.load("small-car-series")
 
@@ -32,9 +33,16 @@ def problems(action, *arguments):
 def test_every_vehicle_loads_and_fills_all_roles(name):
     vehicle = Vehicle.load(name)
     assert vehicle.name == name
-    assert list(vehicle.components()) == list(POWERTRAINS[vehicle.powertrain])
+    assert list(vehicle.components()) == list(powertrains()[vehicle.powertrain].roles)
     assert vehicle.values.keys() == vehicle.specs.keys()
     assert vehicle.source
+
+
+@pytest.mark.parametrize("powertrain", powertrains().values(), ids=lambda p: p.name)
+def test_a_powertrain_derives_from_roles_that_it_has(powertrain):
+    for d in powertrain.derived:
+        assert {d.role, *(role for rule in d.rules for role in rule.needs)} <= powertrain.roles.keys()
+    assert all(powertrain.kinds(role) for role in powertrain.roles)
 
 
 @pytest.mark.parametrize("mass", [1459, 1936, 2393])
@@ -165,7 +173,7 @@ def test_a_bad_file_names_every_problem(tmp_path):
 def test_a_rule_needs_its_parts_and_one_gear(tmp_path):
     rule = '[derive]\ngearbox.ratios = {rule = "top-speed", v = "30 m/s"}\n'
     (found,) = problems(Vehicle.load, write(tmp_path, FILE.replace("electric", "conventional") + rule))
-    assert found == "gearbox.ratios: its rule needs motor, which this vehicle does not have"
+    assert found == "derive.gearbox.ratios: no rule gives it in the powertrain conventional"
     found = problems(Vehicle.load, write(tmp_path, FILE + '[parts]\ngearbox = "five-speed-map"\n' + rule))
     assert found == ["gearbox.ratios has 5 entries, its rule gives 1"]
 
@@ -184,7 +192,7 @@ def test_missing_parts_and_an_unknown_powertrain_are_named(tmp_path):
         "powertrain = \"elektric\" is not known, did you mean 'electric'?"
     ]
     found = problems(Vehicle.load, write(tmp_path, head + 'powertrain = "electric"\nparts = {body = "small-car"}\n'))
-    assert found == [f"parts.{role} is missing" for role in POWERTRAINS["electric"] if role != "body"]
+    assert found == [f"parts.{role} is missing" for role in powertrains()["electric"].roles if role != "body"]
 
 
 def test_a_vehicle_cannot_be_its_own_base(tmp_path):

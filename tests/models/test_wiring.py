@@ -13,7 +13,7 @@ from halfshaft.library.base.links import TwoSided, drag, inertia
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Electric, Port, Shaft
 from halfshaft.models.assembly import assemble
-from halfshaft.models.electric import electric
+from halfshaft.models.powertrains.electric import electric
 from halfshaft.models.model import Model
 from halfshaft.models.vehicle import Vehicle
 
@@ -65,7 +65,7 @@ def problems(make, *arguments):
 
 
 def test_every_misfit_is_named_in_one_error_with_both_ends():
-    m = electric(PARTS)
+    m = electric.model(PARTS)
     p = m.parts
     m.connect(p["motor"].dc, p["gearbox"].output)
     m.connect(p["motor"].shaft, p["gearbox"].output)
@@ -78,7 +78,7 @@ def test_every_misfit_is_named_in_one_error_with_both_ends():
 
 
 def test_misfits_and_unknown_signals_come_together():
-    m = electric({n: part for n, part in PARTS.items() if n != "shift"})
+    m = electric.model({n: part for n, part in PARTS.items() if n != "shift"})
     m.connect(m.parts["motor"].dc, m.parts["gearbox"].output)
     found = problems(assemble, m)
     assert found[0].endswith("the kinds differ")
@@ -103,18 +103,18 @@ def test_ends_may_be_named_in_either_order():
 
 
 def test_a_part_of_another_model_cannot_be_connected():
-    m = electric(PARTS)
+    m = electric.model(PARTS)
     stranger = Bearing(BearingParameters())
     assert problems(m.connect, stranger.input, m.parts["motor"].shaft) == ["Bearing.input belongs to no part of this model"]
 
 
 def test_a_signal_that_nobody_publishes_names_the_nearest():
-    found = problems(assemble, electric({n: part for n, part in PARTS.items() if n != "shift"}))
+    found = problems(assemble, electric.model({n: part for n, part in PARTS.items() if n != "shift"}))
     assert "gearbox.required reads the signal ratio, which no part publishes, did you mean 'ratios'?" in found
 
 
 def test_a_signal_has_one_owner():
-    m = electric({**PARTS, "second_shift": PARTS["shift"].__class__(PARTS["shift"].p)})
+    m = electric.model({**PARTS, "second_shift": PARTS["shift"].__class__(PARTS["shift"].p)})
     assert problems(assemble, m) == [
         "the signal ratio is published by shift and second_shift; one part must own it",
         "the signal gear is published by shift and second_shift; one part must own it",
@@ -131,13 +131,13 @@ def test_what_a_face_gives_must_be_declared():
         def warm(self, v):
             return {"heat": v}
 
-    found = problems(assemble, electric({**PARTS, "careless": Careless(BearingParameters())}))
+    found = problems(assemble, electric.model({**PARTS, "careless": Careless(BearingParameters())}))
     assert found == ["careless.warm gives heat, which Careless does not declare"]
 
 
 def with_extra(component):
     """Return the electric car with one more part, which has no port."""
-    return electric({**PARTS, "extra": component(BearingParameters())})
+    return electric.model({**PARTS, "extra": component(BearingParameters())})
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ def test_a_signal_of_a_part_that_is_not_there_may_be_absent():
 
 def test_slips_of_several_parts_come_in_one_error():
     parts = {**PARTS, "one": GivenTwice(BearingParameters()), "two": WithoutNext(BearingParameters())}
-    assert problems(assemble, electric(parts)) == [
+    assert problems(assemble, electric.model(parts)) == [
         "one.one and one.other both give heat; one of them must",
         "two declares warm, but no face gives next_warm",
     ]
@@ -330,7 +330,7 @@ def marched(made, dt=1.0):
 
 
 def test_a_new_part_without_drag_changes_nothing_in_the_step():
-    plain, *_ = marched(stepper(electric(PARTS)))
+    plain, *_ = marched(stepper(electric.model(PARTS)))
     free, *_ = marched(stepper(electric_with_bearing(Bearing(BearingParameters()))))
     # The operations are the same but for the zeros that the new part adds.
     for name, series in plain.items():
@@ -386,7 +386,7 @@ def test_a_new_source_can_stand_in_for_the_battery():
         def available(self, dc):
             return {"dc": dc, "P_stored": dc.P}
 
-    made = stepper(electric({**PARTS, "battery": Wire(BearingParameters())}))
+    made = stepper(electric.model({**PARTS, "battery": Wire(BearingParameters())}))
     series, energies, samples = marched(made)
     assert np.all(np.abs(series["body.v"] - samples.v) < 1e-9)
     assert abs(account(made.step.outputs, energies).balance_relative) < 1e-12

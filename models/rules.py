@@ -1,0 +1,64 @@
+"""Rules: what one parameter of a vehicle is, when others decide it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, TypeAlias, cast
+
+from halfshaft.library.base.parameters import Parameters, param
+from halfshaft.library.base.tables import Table
+from halfshaft.library.chassis.wheel import WheelParameters
+from halfshaft.library.control.series import genset_locus
+from halfshaft.library.driveline.final_drive import FinalDriveParameters
+from halfshaft.library.electric.generator import GeneratorParameters
+from halfshaft.library.electric.motor import MotorParameters
+from halfshaft.library.engine.engine import EngineParameters
+
+Sets: TypeAlias = Mapping[str, Parameters]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule(Parameters):
+    """Derives the value of one parameter from other parts; its own numbers are those that a vehicle's file gives it."""
+
+    #: What a file calls it, and the roles that it looks at.
+    name: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]]
+
+    def __call__(self, sets: Sets) -> Any:
+        """Return the value; `sets` are the parameters by role."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopSpeed(Rule):
+    """The gear ratio at which the motor reaches its top speed when the vehicle drives at `v`."""
+
+    name = "top-speed"
+    needs = ("motor", "wheel", "final_drive")
+    v: float = param("m/s", "speed of the vehicle", ge=0.1, le=1e3)
+    slip: float = param("1", "slip of the tyres at that speed", 0.0, ge=0, le=10)
+
+    def __call__(self, sets: Sets) -> tuple[float]:
+        """Return the ratio of a single-speed gearbox."""
+        motor, wheel = cast(MotorParameters, sets["motor"]), cast(WheelParameters, sets["wheel"])
+        final_drive = cast(FinalDriveParameters, sets["final_drive"])
+        return (motor.omega_max * motor.speed_scale / (self.v / wheel.r * (1 + self.slip)) / final_drive.i,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GensetLocus(Rule):
+    """The genset speeds of least fuel."""
+
+    name = "genset-locus"
+    needs = ("engine", "generator")
+
+    def __call__(self, sets: Sets) -> Table:
+        """Return the speed over engine power."""
+        return _locus(cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"]))
+
+
+# The locus takes longer than all else here, and most changes leave engine and generator alone.
+_locus = lru_cache(maxsize=16)(genset_locus)
