@@ -165,7 +165,7 @@ def test_a_bad_file_names_every_problem(tmp_path):
         "set.foo is not known",
         "set.body.mm is not known, did you mean 'body.m'?",
         "set.wheel.r = 0.3, must have a unit such as m",
-        "derive.body.m is not known",
+        "derive.body.m: no rule gives it in the powertrain electric",
         'derive.gearbox.ratios has rule "top-sped", must be top-speed',
     ]
 

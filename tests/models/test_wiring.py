@@ -13,8 +13,8 @@ from halfshaft.library.base.links import TwoSided, drag, inertia
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Electric, Port, Shaft
 from halfshaft.models.assembly import assemble
-from halfshaft.models.powertrains.electric import electric
 from halfshaft.models.model import Model
+from halfshaft.models.powertrains.electric import electric
 from halfshaft.models.vehicle import Vehicle
 
 PARTS = Vehicle.load("small-car-electric").components()
