@@ -24,7 +24,6 @@ from halfshaft.library.base.component import Assumed, Component, Face
 from halfshaft.library.base.ports import SHOWN
 from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import Step, StepDirection, all_tables, step_turning, symbolic
-from halfshaft.models.forward import NEUTRAL
 from halfshaft.models.model import Connection, Model
 from halfshaft.models.wiring import Key, Wiring
 
@@ -109,7 +108,8 @@ class Auditor:
                 known["variable", name, v.name] = row[outputs[f"{name}.{v.name}"]]
             for s in part.states:
                 full = f"{name}.{s.name}"
-                known["state", name, s.name] = before[outputs[full]] if s.shown else NEUTRAL.get(s.name, ca.SX.nan())
+                unseen = ca.SX.nan() if s.neutral is None else s.neutral
+                known["state", name, s.name] = before[outputs[full]] if s.shown else unseen
                 if s.shown:
                     known["next", name, s.name] = row[outputs[full]]
         self._limits: dict[str, list[tuple[int, int]]] = {name: [] for name in symbols.parts}

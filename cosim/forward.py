@@ -28,8 +28,10 @@ from halfshaft.models.model import Model
 ENERGY = 1e3
 #: Shortest interval that is cut in two where the integrator stops at a kink of a table [s].
 SHORTEST = 1e-6
-#: No command asks for an acceleration beyond this [m/s^2].
-A_MOST = 1e6
+#: No command asks for an acceleration [m/s^2] or divides a torque [N.m] beyond this.
+Z_MOST = 1e6
+#: Steps of Newton's method for the unknowns, the shortest share of a step, and when they are found: change and balance, relative.
+NEWTON_STEPS, SHORTEST_SHARE, Z_EXACT, BALANCED = 50, 1e-3, 1e-11, 1e-6
 
 
 @dataclass(frozen=True)
@@ -70,14 +72,14 @@ class Forward:
         except CompileError:
             functions = interpolants(tables)
         self.plant: Plant = assemble_plant(model, self.stepper.step, functions)
-        x, a, p = (self.plant.dae[name] for name in ("x", "z", "p"))
-        self._rates = ca.Function("rates", [x, a, p], [self.plant.dae["ode"]])
-        self._balance = ca.Function("balance", [a, x, p], [self.plant.dae["alg"]])
+        x, z, p, alg = (self.plant.dae[name] for name in ("x", "z", "p", "alg"))
+        self._rates = ca.Function("rates", [x, z, p], [self.plant.dae["ode"]])
+        self._balance = ca.Function("balance", [z, x, p], [alg, ca.jacobian(alg, z)])
         # IDAS starts from rates of zero.  Seen from a frame that moves with the rates of the start they are zero, so that it
         # can begin at the solution and need not search for it.
         t, span, rates = ca.SX.sym("t"), ca.SX.sym("span"), ca.SX.sym("rates", x.numel())
         ode, alg, quad = (ca.substitute(self.plant.dae[name], x, x + rates * span * t) for name in ("ode", "alg", "quad"))
-        moving = {"t": t, "x": x, "z": a, "p": ca.vertcat(p, rates, span)}
+        moving = {"t": t, "x": x, "z": z, "p": ca.vertcat(p, rates, span)}
         moving |= {"ode": span * (ode - rates), "alg": alg, "quad": span * quad / ENERGY}
         options = {
             "reltol": reltol,
@@ -114,7 +116,7 @@ class Forward:
         brakes = [i for i, name in enumerate(plant.held) if name.startswith("wheel.F_brake")]
         weight = np.array([step.parameter_index[f"body.{name}"] for name in ("m", "g")])
 
-        x, a, integral = memory[places].copy(), 0.0, 0.0
+        x, z, integral = memory[places].copy(), np.zeros(plant.dae["z"].numel()), 0.0
         x_start = x.copy()
         v_before, n = samples.v_start, len(samples.t)
         quads = np.zeros(len(plant.powers))
@@ -138,9 +140,9 @@ class Forward:
             elif abs(outputs[miss]) < 1e-6:
                 integral += error * dt
             p = np.concatenate([held, [grade, samples.key_on[k]], parameters])
-            x, a, gained = self._interval(x, a, p, samples.t[k] - dt, dt)
+            x, z, gained = self._interval(x, z, p, samples.t[k] - dt, dt)
             quads += gained
-            rows[k] = np.array(self.plant.outputs(x, a, p)).ravel()
+            rows[k] = np.array(self.plant.outputs(x, z, p)).ravel()
             v_before = samples.v[k]
         energies = {d.name: float(q) for d, q in zip(plant.powers, quads, strict=True)}
         m, g = parameters[weight]
@@ -149,50 +151,69 @@ class Forward:
         energies["body.P_climb"] = m * g * (x[elevation] - x_start[elevation])
         return ForwardRun(samples.t, rows, energies, x)
 
-    def _interval(self, x: Array, a: float, p: Array, t: float, span: float) -> tuple[Array, float, Array]:
+    def _interval(self, x: Array, z: Array, p: Array, t: float, span: float) -> tuple[Array, Array, Array]:
         """Integrate over a time with held commands."""
-        a = self._acceleration(x, a, p, t)
-        rates = np.array(self._rates(x, a, p)).ravel()
+        z = self._balanced(x, z, p, t)
+        rates = np.array(self._rates(x, z, p)).ravel()
         said = io.StringIO()
         try:
             with redirect_stderr(said):
-                r = self._advance(x0=x, z0=a, p=np.concatenate([p, rates, [span]]))
+                r = self._advance(x0=x, z0=z, p=np.concatenate([p, rates, [span]]))
         except RuntimeError as error:
             _interrupt(said)
             if span < SHORTEST:
                 raise self._error(x, t, str(error).splitlines()[-1]) from None
-            middle, a, first = self._interval(x, a, p, t, span / 2)
-            end, a, second = self._interval(middle, a, p, t + span / 2, span / 2)
-            return end, a, first + second
+            middle, z, first = self._interval(x, z, p, t, span / 2)
+            end, z, second = self._interval(middle, z, p, t + span / 2, span / 2)
+            return end, z, first + second
         _interrupt(said)
-        return np.array(r["xf"]).ravel() + rates * span, float(r["zf"]), np.array(r["qf"]).ravel() * ENERGY
+        return np.array(r["xf"]).ravel() + rates * span, np.array(r["zf"]).ravel(), np.array(r["qf"]).ravel() * ENERGY
 
-    def _acceleration(self, x: Array, guess: float, p: Array, t: float) -> float:
-        """Return the acceleration that balances the commands, by regula falsi; the balance falls with it, but has kinks."""
-        at, commands = ca.DM(x), ca.DM(p)
+    def _balanced(self, x: Array, guess: Array, p: Array, t: float) -> Array:
+        """Return the unknowns that balance the commands."""
+        z = self._newton(guess, x, p, 0.0)
+        if z is None:
+            z = self._led(x, guess, p)
+        if z is None or not np.all(np.abs(z) < Z_MOST):
+            raise self._error(x, t, "no acceleration balances the commands")
+        return z
 
-        def balance(a: float) -> float:
-            return float(self._balance(a, at, commands))
+    def _newton(self, z: Array, x: Array, p: Array, rest: float | Array) -> Array | None:
+        """Return where the balances are `rest`, by Newton's method; each step is cut until the balances come nearer to it."""
 
-        width, low = 0.01, guess
-        at_low = balance(low)
-        high = low + width * np.sign(at_low)
-        while (at_high := balance(high)) * at_low > 0:
-            width *= 4
-            low, at_low, high = high, at_high, high + width * np.sign(at_high)
-            if not abs(high) < A_MOST:
-                raise self._error(x, t, "no acceleration balances the commands")
-        while at_high != 0 and abs(high - low) > 1e-12:
-            middle = high - at_high * (high - low) / (at_high - at_low)
-            at_middle = balance(middle)
-            if at_middle * at_high < 0:
-                low, at_low = high, at_high
-            else:
-                at_low /= 2
-            if middle == high:
-                break
-            high, at_high = middle, at_middle
-        return float(high)
+        def off(z: Array) -> tuple[Array, Array]:
+            balance, slope = self._balance(z, x, p)
+            return np.array(balance).ravel() - rest, np.array(slope)
+
+        error, slope = off(z)
+        for _ in range(NEWTON_STEPS):
+            step = np.linalg.lstsq(slope, -error, rcond=None)[0]
+            share, before = 1.0, np.abs(error).max()
+            while True:
+                error, slope = off(z + share * step)
+                # A kink may ask for a shorter step; a function with jumps, for the shortest.
+                if np.abs(error).max() <= (1 - 0.1 * share) * before or share < SHORTEST_SHARE:
+                    break
+                share /= 2
+            z = z + share * step
+            if not np.all(np.isfinite(z)):
+                return None
+            if np.abs(share * step).max() <= Z_EXACT * max(1.0, np.abs(z).max()):
+                return z if np.abs(error).max() <= BALANCED * max(1.0, before) else None
+        return None
+
+    def _led(self, x: Array, z: Array, p: Array) -> Array | None:
+        """Return the unknowns that balance the commands, led there from `z` by balances that fade from what they are at `z`."""
+        first = np.array(self._balance(z, x, p)[0]).ravel()
+        faded, stride = 0.0, 0.25
+        while faded < 1:
+            further = min(1.0, faded + stride)
+            found = self._newton(z, x, p, (1 - further) * first)
+            if found is not None:
+                z, faded, stride = found, further, 2 * stride
+            elif (stride := stride / 4) < SHORTEST_SHARE:
+                return None
+        return z
 
     def _error(self, x: Array, t: float, message: str) -> SolveError:
         return SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[0]:g} m/s: {message}")

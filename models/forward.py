@@ -27,7 +27,7 @@ from halfshaft.library.base.component import Component, Face, Variable
 from halfshaft.library.base.ports import SHOWN
 from halfshaft.models.assembly import Description, Step, symbolic
 from halfshaft.models.model import Model
-from halfshaft.models.wiring import Key, Wiring
+from halfshaft.models.wiring import Key, Published, Wiring
 
 #: Speed over which motion sets in [m/s or rad/s].
 V_SMOOTH = 0.05
@@ -36,9 +36,6 @@ V_SMOOTH = 0.05
 TAU_SMOOTH = 3.0
 #: Torque below which a gearbox's efficiency is no longer read from its map [N.m].
 TAU_LOOKUP = 10.0
-
-#: What the paper's discrete method needs of the previous step has no meaning in continuous time.
-NEUTRAL = {"trace_missed": 0.0, "speed_ratio": 1.0, "U_supply": 0.0, "omega_before": 0.0}
 
 
 def plant_turning(speed: Any) -> Any:
@@ -70,41 +67,50 @@ class PlantWiring(Wiring):
     """The wiring of the plant faces; what none of them gives is held from the step."""
 
     def __init__(self, model: Model, parts: Mapping[str, Component]) -> None:
-        self.held: dict[str, Key] = {}
+        self.held: dict[Key, None] = {}
         super().__init__(model, parts)
 
     def faces_of(self, part: Component) -> Iterable[Face]:
         """Return the plant faces."""
         return part.plant_faces()
 
-    def _signals(self, problems: list[str]) -> dict[str, Key]:
-        bus = super()._signals(problems)
-        for name, part in self.parts.items():
-            bus |= {s.name: ("state", name, s.name) for s, _ in part.plant_states if s.signal}
-        return {**bus, **{n: ("neutral", "", n) for n in NEUTRAL}, "a": ("algebraic", "", "a")}
+    def states_of(self, part: Component) -> set[str]:
+        """Return the names of the plant's states, and of what stands for memories of the step."""
+        return {s.name for s, _ in part.plant_states} | {s.name for s in part.states if s.neutral is not None}
 
-    def _bind(self, part: str, face: Face, problems: list[str]) -> Any:
-        self.states[part] = {s.name for s, _ in self.parts[part].plant_states}
-        return super()._bind(part, face, problems)
+    def signals_of(self, name: str, part: Component) -> dict[str, Published]:
+        """Return what a part publishes; a state of the plant comes before a variable of the step."""
+        states = {s.name: Published(("state", name, s.name), s.unit) for s, _ in part.plant_states if s.signal}
+        return super().signals_of(name, part) | states
 
     def finish(self, problems: list[str]) -> None:
-        """Take what no plant face gives from the step."""
+        """Take what no plant face gives from the step, and count unknowns against balances."""
         for bound in self.faces:
-            for name, key in bound.takes.items():
+            for name, key in bound.needs():
                 if key[0] in ("variable", "required", "available", "private", "law") and key not in self.maker:
                     if key[0] == "variable":
-                        self.held[name] = key
+                        self.held[key] = None
                     else:
                         problems.append(f"{bound} takes {name}, but nothing gives {key[1]}.{key[2]} ({key[0]})")
+                elif key[0] == "state" and key[2] not in self.states[key[1]]:
+                    problems.append(f"{bound} takes {name}, a memory of {key[1]} in the step that has nothing neutral to stand for it")
+        balances = [key[1] for key in self.maker if key[0] == "balance"]
+        unknowns = [f"{name}.{u.name}" for name, part in self.parts.items() for u in part.unknowns]
+        if len(balances) != len(unknowns) and not problems:
+            had, given = ", ".join(unknowns) or "none", ", ".join(balances) or "none"
+            problems.append(
+                f"the forward-facing model has the unknowns {had}, but balances of {given}: "
+                "a machine or clutch at the end of a chain gives one, a part that divides a flow brings one unknown"
+            )
 
 
 @dataclass(frozen=True)
 class Plant:
     """The forward-facing model of a vehicle.
 
-    ``dae`` has the states ``x``, the acceleration ``z``, ``p`` (held values, grade, key, then parameters), and the integrals
-    ``quad`` of all powers.  ``held`` names the outputs of the step that are held; ``memories`` tells which
-    state of the step each state ``x`` stands for.  ``outputs`` maps ``(x, z, p)`` to the ``shown`` variables.
+    ``dae`` has the states ``x``, the unknowns ``z`` (the acceleration, and how flows divide), ``p`` (held values, grade,
+    key, then parameters), and the integrals ``quad`` of all powers.  ``held`` names the outputs of the step that are held;
+    ``memories`` tells which state of the step each state ``x`` stands for.  ``outputs`` maps ``(x, z, p)`` to the ``shown`` variables.
     """
 
     name: str
@@ -121,19 +127,22 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
     """Return the forward-facing model; `functions` are those of the model's tables."""
     symbols = symbolic(model, functions)
     wiring = PlantWiring(model, symbols.parts)
-    states, memories, x = [], [], []
-    known: dict[Key, Any] = {("neutral", "", n): value for n, value in NEUTRAL.items()}
+    states, memories, x, z = [], [], [], []
+    known: dict[Key, Any] = {}
     for name, part in symbols.parts.items():
+        known |= {("state", name, s.name): s.neutral for s in part.states if s.neutral is not None}
+        for u in part.unknowns:
+            z.append(ca.SX.sym(f"{name}.{u.name}"))
+            known["unknown", name, u.name] = z[-1]
         for s, memory in part.plant_states:
             states.append(Description(f"{name}.{s.name}", s.unit, s.doc))
             memories.append(f"{name}.{memory}")
             x.append(ca.SX.sym(f"{name}.{s.name}"))
             known["state", name, s.name] = x[-1]
-    a, grade, key_on = ca.SX.sym("a"), ca.SX.sym("grade"), ca.SX.sym("key_on")
-    held = {f"{key[1]}.{key[2]}": ca.SX.sym(name) for name, key in wiring.held.items()}
-    known |= {key: held[f"{key[1]}.{key[2]}"] for key in wiring.held.values()}
+    grade, key_on = ca.SX.sym("grade"), ca.SX.sym("key_on")
+    held = {f"{key[1]}.{key[2]}": ca.SX.sym(f"{key[1]}.{key[2]}") for key in wiring.held}
+    known |= {key: held[f"{key[1]}.{key[2]}"] for key in wiring.held}
     known |= {
-        ("algebraic", "", "a"): a,
         ("request", "", "grade"): grade,
         ("request", "", "key_on"): key_on,
         ("law of the model", "", "turning"): plant_turning,
@@ -162,8 +171,8 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
     integrals = [(d, value) for d, value in shown if d.unit == "W"]
     p = ca.vertcat(*held.values(), grade, key_on, symbols.parameters)
     quad = ca.vertcat(*(value for _, value in integrals))
-    dae = {"x": ca.vertcat(*x), "z": a, "p": p, "ode": rates, "alg": ca.vertcat(*balance), "quad": quad}
-    outputs = ca.Function("outputs", [dae["x"], a, p], [ca.vertcat(*(value for _, value in shown))])
+    dae = {"x": ca.vertcat(*x), "z": ca.vertcat(*z), "p": p, "ode": rates, "alg": ca.vertcat(*balance), "quad": quad}
+    outputs = ca.Function("outputs", [dae["x"], dae["z"], p], [ca.vertcat(*(value for _, value in shown))])
     return Plant(
         model.name, dae, outputs, tuple(states), tuple(memories), tuple(held),
         tuple(d for d, _ in integrals), tuple(d for d, _ in shown),

@@ -1,7 +1,7 @@
 """A model: parts and connections.
 
-Reading a model is reading a diagram: there is no arithmetic in it.  Power ports are connected one by one; signals need
-no lines, a part reads what another publishes by name (the control bus of a vehicle).
+Reading a model is reading a diagram: there is no arithmetic in it.  Power ports are connected; signals need no lines, but
+where several parts could answer what one reads.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ class Model:
         self.name = name
         self.parts = dict(parts)
         self.connections: list[Connection] = []
+        #: Which part stands for what a part reads from, by the reader and its name for it.
+        self.bindings: dict[str, dict[str, str]] = {}
         self._problems: list[str] = []
         self._tried: set[tuple[str, str]] = set()
         roles: dict[int, str] = {}
@@ -63,6 +65,12 @@ class Model:
                     self._problems.append(f"{both}: {names[id(end)]} is connected already")
                     return
         self.connections.append(Connection(self._place(load), load.port, self._place(supply), supply.port))
+
+    def bind(self, reader: str, **owners: str) -> None:
+        """Say which parts a part reads from, by its own names for them (`From`), where several could be meant."""
+        lost = [name for name in (reader, *owners.values()) if name not in self.parts]
+        self._problems += [f"{name} is no part of this model{nearest(name, self.parts)}" for name in lost]
+        self.bindings.setdefault(reader, {}).update(owners)
 
     def chain(self, *places: str) -> None:
         """Connect parts one after the other, from the wheel to the source.

@@ -5,8 +5,12 @@ its decorator; the assembler (`halfshaft.models`) finds the order.  An argument 
 
 * a port: what arrives there, the *required* point at a port toward the wheel, the *available* one at a port toward the source;
 * a state or memory of the component, at the start of the step;
-* a signal: a request (`v_request`, `grade`, `key_on`, `dt`, `decided`), or a variable or state that one part publishes for all;
+* a request (`v_request`, `grade`, `key_on`, `dt`, `decided`), or one of the laws of motion `turning` and `direction`;
+* a signal of another part, or that part itself seen as an interface, as the component's `reads` declare it;
 * a private hand-over (leading underscore) from another face of the same component.
+
+A signal stays with the part that publishes it: two motors may both have a throttle.  Which part a component reads from
+follows from what it asks for; where several could answer, the powertrain says which, or the connections do (`From`).
 
 A face gives ports, variables, signals, private hand-overs, and ``next_x`` for each of its states ``x``.
 
@@ -49,6 +53,7 @@ class State(NamedTuple):
 
     ``signal`` publishes its value at the start of the step; ``shown`` makes its end value an output; ``decision`` says
     that it holds a control's decision: where the request ``decided`` is 1, the control keeps what stands there.
+    ``neutral`` stands for it in the forward-facing model, if what the discrete method remembers has no meaning there.
     """
 
     name: str
@@ -57,6 +62,65 @@ class State(NamedTuple):
     signal: bool = False
     shown: bool = False
     decision: bool = False
+    neutral: float | None = None
+
+
+class Signal(NamedTuple):
+    """What a component publishes for others besides its variables and states."""
+
+    name: str
+    unit: str
+    doc: str
+
+
+class Unknown(NamedTuple):
+    """An algebraic unknown of the forward-facing model; for each of them some part must give a ``balance``."""
+
+    name: str
+    unit: str
+    doc: str
+
+
+class From:
+    """What a component reads of one other part, which it calls `owner`.
+
+    Either signals, by name and unit (``From("battery", U="V")``), or the part itself as an interface, a class
+    (``From("machine", Machine)``), which is then an argument of the owner's name.
+
+    Parameters
+    ----------
+    owner
+        What the reader calls the part; `Model.bind` says by this name which part it is, where several could be.
+    interface
+        The class that the part must have.
+    along
+        Of several parts the nearest along the connections: from a port of the reader's own (``("input",)``), or of another owner
+        (``("gearbox", "input")``), away from the part that the port belongs to.
+    optional
+        Whether there may be no such part; the arguments then have their defaults.
+    each
+        Whether to read all parts that publish the signals; the arguments are tuples, empty if there is none.
+
+    """
+
+    def __init__(
+        self,
+        owner: str,
+        interface: type | None = None,
+        /,
+        *,
+        along: tuple[str, ...] = (),
+        optional: bool = False,
+        each: bool = False,
+        **signals: str,
+    ) -> None:
+        self.owner, self.interface, self.along, self.optional, self.each = owner, interface, along, optional, each
+        self.signals: Mapping[str, str] = signals
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arguments that it fills."""
+        return (self.owner,) if self.interface else tuple(self.signals)
 
 
 class Assumed(NamedTuple):
@@ -119,8 +183,12 @@ class Component:
     variables: ClassVar[tuple[Variable, ...]] = ()
     #: States of the forward-facing model; each stands for the step's state or memory named last.
     plant_states: ClassVar[tuple[tuple[State, str], ...]] = ()
-    #: What the component publishes to all others besides variables: laws, parameters, points that are outputs by another name.
-    laws: ClassVar[tuple[str, ...]] = ()
+    #: What the component publishes besides variables and states: laws, parameters, points that are outputs by another name.
+    signals: ClassVar[tuple[Signal, ...]] = ()
+    #: What it reads of other parts.
+    reads: ClassVar[tuple[From, ...]] = ()
+    #: Unknowns of the forward-facing model that it brings.
+    unknowns: ClassVar[tuple[Unknown, ...]] = ()
 
     @classmethod
     def ports(cls) -> dict[str, Port]:
@@ -160,5 +228,5 @@ class Component:
             yield Face("audit", takes, optional, ("_audit",), lambda **x: {"_audit": audit(**x)})
 
     def start(self) -> Mapping[str, Any]:
-        """Return the start value of each state; arguments may name signals that are states of other parts."""
+        """Return the start value of each state; arguments may be signals that are states or laws of other parts."""
         return dict.fromkeys((s.name for s in self.states), 0.0)

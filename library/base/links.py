@@ -104,8 +104,8 @@ class TwoSided(Component):
         """Return whether the component has a rotor."""
         return "J" in cls.parameters.__dataclass_fields__
 
-    def found(self, way: Any) -> Mapping[str, Any]:
-        """Return next values of memories, and variables, from the required way: triples of link, point asked, point sent."""
+    def found(self, way: Mapping[str, tuple[Any, Any]]) -> Mapping[str, Any]:
+        """Return next values of memories, and variables, from the required way: of each named link the points asked and sent."""
         return {}
 
     @classmethod
@@ -143,7 +143,8 @@ class TwoSided(Component):
                     fields = {f"{k}_{link.name}": v for k, v in way[-1]._asdict().items()}
                     named.update({k: v for k, v in fields.items() if k in names})
             handed = tuple(zip(links, way, way[1:], strict=False))
-            return {source.name: way[-1], "_way": handed, **named, **self.found(handed)}
+            passed = {link.name: (asked, sent) for link, asked, sent in handed if link.name}
+            return {source.name: way[-1], "_way": handed, **named, **self.found(passed)}
 
         def available(**x: Any) -> Mapping[str, Any]:
             offered, loss, kinetic, error, mismatch = x[source.name], 0, 0, 0, 0

@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.base.component import Assumed, Component, State, Variable, face, plant
+from halfshaft.library.base.component import Assumed, Component, From, State, Unknown, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, where
+from halfshaft.library.base.interfaces import Rolling
 from halfshaft.library.base.parameters import Parameters, Relation, param
 from halfshaft.library.base.ports import Expr, Port, Tyre
 
@@ -35,12 +36,17 @@ class Resistance(NamedTuple):
 
     roll_0: Expr
     roll_1: Expr
+    roll_2: Expr
     climb: Expr
     aero: Expr
 
+    def roll(self, v: Expr) -> Expr:
+        """Return the rolling resistance of a moving body [N]."""
+        return self.roll_0 + self.roll_1 * v + self.roll_2 * v**2
+
     def at(self, v: Expr, moving: Expr) -> Expr:
         """Return the force at a speed [N]."""
-        return moving * (self.roll_0 + self.roll_1 * v) + self.climb + self.aero * v**2
+        return moving * self.roll(v) + self.climb + self.aero * v**2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +82,8 @@ class Body(Component):
         State("v", "m/s", "speed of the vehicle", signal=True, shown=True),
         State("distance", "m", "distance driven", shown=True),
         State("elevation", "m", "height above the start", shown=True),
-        State("trace_missed", "1", "whether the previous step missed its request", signal=True),
-        State("speed_ratio", "1", "end speed over the mean speed that the driveline offered, previous step", signal=True),
+        State("trace_missed", "1", "whether the previous step missed its request", signal=True, neutral=0.0),
+        State("speed_ratio", "1", "end speed over the mean speed that the driveline offered, previous step", signal=True, neutral=1.0),
     )
     variables = (
         Variable("v_request", "m/s", "requested speed at the end of the step"),
@@ -94,28 +100,33 @@ class Body(Component):
         Variable("a_request", "m/s^2", "requested acceleration", signal=True),
     )
     plant_states = ((states[0], "v"), (states[1], "distance"), (states[2], "elevation"))
-    laws = ("body",)
+    unknowns = (Unknown("a", "m/s^2", "acceleration"),)
+    reads = (From("wheel", Rolling), From("wheel", v_driveline="m/s"))
 
     def start(self) -> Mapping[str, Any]:
         """Return the start values."""
         return {"v": self.p.v_start, "distance": 0.0, "elevation": 0.0, "trace_missed": 0.0, "speed_ratio": 0.0}
 
-    @face("body")
-    def law(self) -> Mapping[str, Any]:
-        """Publish the parameters that the tyre's grip depends on."""
-        return {"body": self.p}
+    def weight(self, grade: Expr) -> Expr:
+        """Return the weight that presses on the road [N]."""
+        return self.p.m * self.p.g * (1 / ca.sqrt(1 + grade**2))
 
-    def resistance(self, grade: Expr, rolling: tuple[Expr, Expr]) -> Resistance:
+    def loads(self, a: Expr, grade: Expr) -> tuple[Expr, Expr]:
+        """Return the loads of the front and the rear axle at an acceleration [N]."""
+        p, W = self.p, self.weight(grade)
+        transfer = p.h / p.wheelbase * (p.m * a + W * grade)
+        return p.front_share * W - transfer, (1 - p.front_share) * W + transfer
+
+    def resistance(self, grade: Expr, wheel: Rolling) -> Resistance:
         """Return equation (2)."""
-        cos = 1 / ca.sqrt(1 + grade**2)
-        W, (f_0, f_1) = self.p.m * self.p.g, rolling
-        return Resistance(W * cos * f_0, W * cos * f_1, W * cos * grade, 0.5 * self.p.rho * self.p.c_d * self.p.A)
+        W = self.weight(grade)
+        return Resistance(*wheel.rolling(W), W * grade, 0.5 * self.p.rho * self.p.c_d * self.p.A)
 
     @face("tyre", "v_request", "a_request", "F_required", "_asked", "_resistance")
-    def required(self, v_request: Expr, v: Expr, grade: Expr, dt: Expr, rolling: tuple[Expr, Expr], turning: Turning) -> Mapping[str, Any]:
+    def required(self, v_request: Expr, v: Expr, grade: Expr, dt: Expr, wheel: Rolling, turning: Turning) -> Mapping[str, Any]:
         """Return the force and mean speed that reach the requested end speed, equation (1)."""
         v_mean, a = (v + v_request) / 2, (v_request - v) / dt
-        resistance = self.resistance(grade, rolling)
+        resistance = self.resistance(grade, wheel)
         # A vehicle that stands and shall stand is held by its brakes, on a slope too.
         F = where(v_mean > 0, self.p.m * a + resistance.at(v_mean, turning(v_mean)), 0)
         asked = Tyre(F, v_mean, a)
@@ -132,9 +143,9 @@ class Body(Component):
         """Solve equation (1) for the mean speed and publish what was achieved."""
         m, drag = self.p.m, _resistance
         moving = turning(tyre.v)
-        B = 2 * m / dt + drag.roll_1 * moving
+        A, B = drag.aero + drag.roll_2 * moving, 2 * m / dt + drag.roll_1 * moving
         C = -2 * m * v / dt - ca.fmax(tyre.F, A_FLOOR * m) + drag.roll_0 * moving + drag.climb
-        v_force = -2 * C / (B + ca.sqrt(ca.fmax(B**2 - 4 * drag.aero * C, 0)))
+        v_force = -2 * C / (B + ca.sqrt(ca.fmax(B**2 - 4 * A * C, 0)))
         # The driveline's speed bounds the speed from above, in hard braking from below.  The original tells braking by
         # the force alone; a large inertia torque in a step without drive would then lift the speed.
         braking = ca.logic_and(tyre.F < -m, v_request < v)
@@ -155,7 +166,7 @@ class Body(Component):
             "next_trace_missed": v_request - v_end > self.p.v_miss,
             "next_speed_ratio": where(v_driveline > 0, v_end / ca.fmax(v_driveline, 1e-12), 0),
             "P_aero": drag.aero * v_mean**3,
-            "P_roll": moving * (drag.roll_0 + drag.roll_1 * v_mean) * v_mean,
+            "P_roll": moving * drag.roll(v_mean) * v_mean,
             "P_climb": drag.climb * v_mean,
             "P_kinetic": m * (v_end - v) / dt * v_mean,
             "P_mismatch": tyre.F * (tyre.v - v_mean),
@@ -164,10 +175,10 @@ class Body(Component):
 
     def audit(
         self, tyre: Tyre, v: Expr, next_v: Expr, elevation: Expr, next_elevation: Expr, grade: Expr, dt: Expr,
-        P_aero: Expr, P_roll: Expr, P_climb: Expr, P_kinetic: Expr, rolling: tuple[Expr, Expr], turning: Turning,
+        P_aero: Expr, P_roll: Expr, P_climb: Expr, P_kinetic: Expr, wheel: Rolling, turning: Turning,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Compare powers with the states, and the force with equation (1)."""
-        m, drag, v_mean = self.p.m, self.resistance(grade, rolling), (v + next_v) / 2
+        m, drag, v_mean = self.p.m, self.resistance(grade, wheel), (v + next_v) / 2
         resisting = drag.at(v_mean, turning(tyre.v))
         used = m * (next_v - v) / dt + resisting
         return {
@@ -178,11 +189,11 @@ class Body(Component):
         }
 
     @plant("tyre", "der_v", "der_distance", "der_elevation", "P_aero", "P_roll", "P_climb", "P_kinetic")
-    def motion(self, v: Expr, a: Expr, grade: Expr, rolling: tuple[Expr, Expr], turning: Turning) -> Mapping[str, Any]:
+    def motion(self, v: Expr, a: Expr, grade: Expr, wheel: Rolling, turning: Turning) -> Mapping[str, Any]:
         """Return what the tyres must carry at a speed and an acceleration, equation (1)."""
-        drag, moving, size = self.resistance(grade, rolling), turning(v), ca.fabs(v)
+        drag, moving, size = self.resistance(grade, wheel), turning(v), ca.fabs(v)
         # Both oppose the motion, backward too.
-        roll, aero = moving * (drag.roll_0 + drag.roll_1 * size), drag.aero * size * v
+        roll, aero = moving * drag.roll(size), drag.aero * size * v
         return {
             "tyre": Tyre(self.p.m * a + roll + drag.climb + aero, v, a),
             "der_v": a,

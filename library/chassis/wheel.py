@@ -24,13 +24,14 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.base.component import Assumed, Component, State, Variable, face, plant
+from halfshaft.library.base.component import Assumed, Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
+from halfshaft.library.base.interfaces import Rolling
 from halfshaft.library.base.links import Link, deliver, drag, inertia
 from halfshaft.library.base.parameters import Parameters, Relation, param, table
 from halfshaft.library.base.ports import Expr, Port, Shaft, Tyre
 from halfshaft.library.base.tables import Axis, Table
-from halfshaft.library.chassis.body import BodyParameters
+from halfshaft.library.chassis.body import Body
 
 SPEED, SHARE = Axis("v", "m/s"), Axis("adhesion", "1")
 
@@ -83,7 +84,7 @@ class Split(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Wheel(Component):
+class Wheel(Component, Rolling):
     """Wheels, axles, tyres and brakes between the road and the final drive."""
 
     kind = "wheel"
@@ -108,38 +109,33 @@ class Wheel(Component):
         Variable("P_kinetic", "W", "rate of change of the wheels' kinetic energy", "kinetic"),
         Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
     )
-    laws = ("rolling", "tau_grip_out", "tau_grip_in")
+    signals = (
+        Signal("tau_grip_out", "N.m", "what the driven axle may drive more before its tyres slip"),
+        Signal("tau_grip_in", "N.m", "what it may brake more"),
+    )
+    reads = (From("body", Body), From("body", v="m/s"))
 
     def start(self, v: Expr) -> Mapping[str, Any]:  # type: ignore[override]
         """Return the start values: rolling without slip."""
         return {"v_before": v}
 
-    @face("rolling")
-    def law(self) -> Mapping[str, Any]:
-        """Publish the rolling resistance coefficients, which the body's force balance needs."""
-        return {"rolling": (self.p.f_0, self.p.f_1)}
+    def rolling(self, W: Expr) -> tuple[Expr, Expr, Expr]:
+        """Return the rolling resistance by speed [N]."""
+        return W * self.p.f_0, W * self.p.f_1, 0
 
-    def weight(self, a: Expr, grade: Expr, body: BodyParameters) -> tuple[Expr, Expr]:
-        """Return the axle loads, equation (3) [N]."""
-        cos = 1 / ca.sqrt(1 + grade**2)
-        W = body.m * body.g * cos
-        transfer = body.h / body.wheelbase * (body.m * a + W * grade)
-        return body.front_share * W - transfer, (1 - body.front_share) * W + transfer
-
-    def grip(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters) -> Grip:
+    def grip(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: Body) -> Grip:
         """Return the request cut to what the driven axle can transmit (paper eq. 2, 3)."""
-        p, m = self.p, body.m
-        cos = 1 / ca.sqrt(1 + grade**2)
-        W, climb = m * body.g * cos, m * body.g * cos * grade
-        aero = 0.5 * body.rho * body.c_d * body.A
-        static = p.mu_max * W * (p.front_driven * body.front_share + p.rear_driven * (1 - body.front_share))
-        transfer = p.mu_max * body.h / body.wheelbase * (p.front_driven - p.rear_driven)
-        rest = -W * p.f_0 - climb - 0.5 * W * p.f_1 * v - 0.25 * aero * v**2 + m * v / dt
-        slope = 0.75 * aero * v + 0.5 * W * p.f_1 + m / dt
+        p, q, W = self.p, body.p, body.weight(grade)
+        m, drag = q.m, body.resistance(grade, self)
+        climb, aero = drag.climb, drag.aero + drag.roll_2
+        static = p.mu_max * W * (p.front_driven * q.front_share + p.rear_driven * (1 - q.front_share))
+        transfer = p.mu_max * q.h / q.wheelbase * (p.front_driven - p.rear_driven)
+        rest = -drag.roll_0 - climb - 0.5 * drag.roll_1 * v - 0.25 * aero * v**2 + m * v / dt
+        slope = 0.75 * aero * v + 0.5 * drag.roll_1 + m / dt
         v_highest = (static - transfer * climb + rest + transfer * m * v / dt) / (slope + transfer * m / dt)
         v_lowest = (-static + transfer * climb + rest - transfer * m * v / dt) / (slope - transfer * m / dt)
         v_mean = clip(tyre.v, (v_lowest + v) / 2, (v_highest + v) / 2)
-        front, rear = self.weight(2 * (v_mean - v) / dt, grade, body)
+        front, rear = body.loads(2 * (v_mean - v) / dt, grade)
         W_driven = p.front_driven * front + p.rear_driven * rear
         F_max = p.mu_max * W_driven
         F = clip(tyre.F, -F_max, F_max)
@@ -165,17 +161,15 @@ class Wheel(Component):
         """Return the shaft point at the tread: force times radius, before bearings and inertia."""
         return Shaft(F * self.p.r, omega, alpha)
 
-    def chain(self, turning: Turning, body: BodyParameters) -> tuple[Link, Link]:
+    def chain(self, turning: Turning, body: Body) -> tuple[Link, Link]:
         """Return bearing drag and inertia, equation (2)."""
-        return drag(lambda shaft: turning(shaft.omega) * self.p.tau_bearing(body.m)), inertia(self.p.J)
+        return drag(lambda shaft: turning(shaft.omega) * self.p.tau_bearing(body.p.m)), inertia(self.p.J)
 
     @face(
         "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
         "next_v_before", "_asked", "_grip", "_split", "_way",
     )  # fmt: skip
-    def required(
-        self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: BodyParameters, v_before: Expr, turning: Turning
-    ) -> Mapping[str, Any]:
+    def required(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: Body, v_before: Expr, turning: Turning) -> Mapping[str, Any]:
         """Return the axle point that the request needs, equations (1) and (2)."""
         grip = self.grip(tyre, v, grade, dt, body)
         split = self.split(grip.F, tyre.v)
@@ -237,16 +231,16 @@ class Wheel(Component):
 
     def audit(
         self, tyre: Tyre, axle: Shaft, F_brake_front: Expr, F_brake_rear: Expr, P_brake: Expr, P_slip: Expr, P_bearing: Expr,
-        P_kinetic: Expr, P_discretisation: Expr, v: Expr, dt: Expr, grade: Expr, body: BodyParameters, turning: Turning,
+        P_kinetic: Expr, P_discretisation: Expr, v: Expr, dt: Expr, grade: Expr, body: Body, turning: Turning,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Compare the axle with the forces at the road: equations (1) and (2), each as it stands in the text."""
         p = self.p
         F_driveline = tyre.F - F_brake_front - F_brake_rear
         F_driven = tyre.F - (1 - p.front_driven) * F_brake_front - (1 - p.rear_driven) * F_brake_rear
-        front, rear = self.weight(2 * (tyre.v - v) / dt, grade, body)
+        front, rear = body.loads(2 * (tyre.v - v) / dt, grade)
         slip = self.slip(F_driven, p.front_driven * front + p.rear_driven * rear)
         v_tread = p.r * axle.omega
-        bearing = turning(axle.omega) * p.tau_bearing(body.m) * axle.omega
+        bearing = turning(axle.omega) * p.tau_bearing(body.p.m) * axle.omega
         return {
             "torque at the tread": axle.P - bearing - P_kinetic - P_discretisation - F_driveline * v_tread,
             "slip": Assumed(P_slip - F_driven * tyre.v * slip),
@@ -274,15 +268,13 @@ class Wheel(Component):
         return front, ca.fmax(F - front, -room_rear)
 
     @plant("axle", "P_brake", "P_slip", "P_bearing", "P_kinetic", "tau_grip_out", "tau_grip_in")
-    def flow(
-        self, tyre: Tyre, F_brake_front: Expr, F_brake_rear: Expr, grade: Expr, body: BodyParameters, turning: Turning
-    ) -> Mapping[str, Any]:
+    def flow(self, tyre: Tyre, F_brake_front: Expr, F_brake_rear: Expr, grade: Expr, body: Body, turning: Turning) -> Mapping[str, Any]:
         """Return the axle point in continuous time, and how far the driven axle is from its grip.
 
         The friction brakes' forces are held between samples.  They oppose the motion, hold at standstill what the tyres can
         hold, and keep the vehicle from rolling back.
         """
-        p, loads = self.p, self.weight(tyre.a, grade, body)
+        p, loads = self.p, body.loads(tyre.a, grade)
 
         def brake(F: Expr, F_most: Expr, load: Expr) -> Expr:
             lowest = ca.fmax(-F_most, -p.mu_max * ca.fmax(load, 0))

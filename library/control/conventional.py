@@ -19,11 +19,11 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Expr
-from halfshaft.library.engine.engine import Engine
 
 OPEN, SLIPPING, ENGAGED = 1, 2, 3
 
@@ -56,14 +56,23 @@ class ConventionalControl(Component):
         Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
         Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
     )
-    laws = ("omega_idle", "omega_launch")
+    signals = (
+        Signal("omega_idle", "rad/s", "idling speed"),
+        Signal("omega_launch", "rad/s", "speed of the engine while the clutch slips at launch"),
+    )
+    reads = (
+        From("body", v="m/s"),
+        From("clutch", tau_clutch="N.m", omega_clutch="rad/s"),
+        From("engine", Machine, along=("clutch", "input")),
+        From("shift", omega_input_estimate="rad/s", shifting="1"),
+    )
 
     def start(self, v: Expr) -> Mapping[str, Any]:  # type: ignore[override]
         """Return the start values: engaged if the vehicle moves."""
         return {"clutch_before": where(v > 0, ENGAGED, OPEN), "on_before": 1.0}
 
     @face("omega_idle", "omega_launch")
-    def law(self, engine: Engine) -> Mapping[str, Any]:
+    def law(self, engine: Machine) -> Mapping[str, Any]:
         """Publish idling and launch speed."""
         p = self.p
         return {"omega_idle": p.omega_idle * p.idle_at_stop, "omega_launch": ca.fmax(p.launch_share * engine.omega_max, 1.5 * p.omega_idle)}
@@ -71,7 +80,7 @@ class ConventionalControl(Component):
     @face("clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before")
     def control(
         self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, key_on: Expr, omega_launch: Expr,
-        engine: Engine, clutch_before: Expr, on_before: Expr, decided: Expr,
+        engine: Machine, clutch_before: Expr, on_before: Expr, decided: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Decide on clutch and engine for this step."""
         p, asked = self.p, tau_clutch > 1e-3

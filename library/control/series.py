@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, Relation, param, table
@@ -81,7 +81,13 @@ class SeriesControl(Component):
         Variable("omega_genset", "rad/s", "speed at which the torque is asked for", signal=True),
         Variable("P_engine_request", "W", "engine power that demand and charging ask for"),
     )
-    laws = ("omega_idle",)
+    signals = (Signal("omega_idle", "rad/s", "idling speed"),)
+    reads = (
+        From("bus", P_bus="W"),
+        From("battery", soc_before="1", P_battery_max="W", P_battery_min="W"),
+        From("engine", Engine),
+        From("generator", Generator),
+    )
 
     def start(self) -> Mapping[str, Any]:
         """Return the start values."""

@@ -14,14 +14,15 @@ shift delay.  A gearbox with one ratio uses `FixedGear`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.parameters import Parameters, param, table
 from halfshaft.library.base.ports import Expr
 from halfshaft.library.base.tables import Axis, Table
@@ -53,7 +54,8 @@ class FixedGear(Component):
     family = "gear-choice"
     p: FixedGearParameters
     parameters = FixedGearParameters
-    laws = ("ratio", "gear")
+    signals = (Signal("ratio", "1", "the ratio"), Signal("gear", "1", "the gear"))
+    reads = (From("gearbox", ratios="1"),)
 
     @face("ratio", "gear")
     def law(self, ratios: tuple[Expr, ...]) -> Mapping[str, Any]:
@@ -81,7 +83,14 @@ class Shift(Component):
         Variable("shifting", "1", "whether a shift is under way", signal=True, kind="flag"),
         Variable("load", "1", "estimated load of the machine"),
     )
-    laws = ("omega_input_estimate",)
+    signals = (Signal("omega_input_estimate", "rad/s", "estimated input speed, were the gear kept"),)
+    reads = (
+        From("gearbox", tau_gearbox="N.m", omega_gearbox="rad/s", torque_ratio="1", ratios="1", omega_gearbox_input="rad/s"),
+        From("machine", Machine, along=("gearbox", "input")),
+        From("wheel", slip_limited="1", v_driveline="m/s"),
+        From("body", trace_missed="1", next_v="m/s"),
+        From("accessories", optional=True, tau_accessory_before="N.m"),
+    )
 
     def start(self) -> Mapping[str, Any]:
         """Return the start values: first gear, no recent shift."""
@@ -106,7 +115,7 @@ class Shift(Component):
     )
     def control(
         self, tau_gearbox: Expr, omega_gearbox: Expr, slip_limited: Expr, trace_missed: Expr, torque_ratio: Expr,
-        ratios: tuple[Expr, ...], tau_envelope: Callable[[Expr], Expr], dt: Expr,
+        ratios: tuple[Expr, ...], machine: Machine, dt: Expr,
         gear_before: Expr, raised: Expr, t_since_shift: Expr, omega_estimate: Expr, decided: Expr,
         tau_accessory_before: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
@@ -116,7 +125,7 @@ class Shift(Component):
         slow = ca.logic_and(ca.logic_or(trace_missed, slip_limited), dt <= 0.11)
         omega = where(slow, omega_estimate, omega_gearbox * ratio_before)
         tau = tau_gearbox / (clip(torque_ratio, 0.2, 1) * ratio_before) + tau_accessory_before
-        load = where(slip_limited, 1, clip(tau / ca.fmax(tau_envelope(omega), 1e-9), 0, 1))
+        load = where(slip_limited, 1, clip(tau / ca.fmax(machine.tau_envelope(omega), 1e-9), 0, 1))
         free = t_since_shift >= self.p.t_hold - 1e-6
         kept = ca.logic_and(raised, t_since_shift < self.p.t_raised - 1e-6)
         up = ca.logic_and(free, load < self.p.up(omega, gear_before))

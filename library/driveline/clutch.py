@@ -13,12 +13,12 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Variable, face, plant
+from halfshaft.library.base.component import From, Signal, Variable, face, plant
 from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import Link, TwoSided, limit
 from halfshaft.library.base.parameters import Parameters
 from halfshaft.library.base.ports import Expr, Port, Shaft
-from halfshaft.library.engine.engine import Engine
 
 #: Capacity of the engaged clutch over the engine's largest torque, and slip speed of the smooth friction law [rad/s].
 CAPACITY, OMEGA_SLIP = 2.0, 1.0
@@ -41,7 +41,16 @@ class Clutch(TwoSided):
     output = Port(Shaft, "wheel")
     input = Port(Shaft, "source")
     variables = (Variable("tau_clutch", "N.m", "required output torque", signal=True),)
-    laws = ("geared", "omega_clutch")
+    signals = (
+        Signal("geared", "1", "whether the engine turns with the wheels"),
+        Signal("omega_clutch", "rad/s", "required output speed"),
+    )
+    reads = (
+        From("control", clutch_open="1", clutch_slipping="1", omega_launch="rad/s", omega_idle="rad/s"),
+        From("engine", Machine, along=("input",)),
+        From("engine", omega_engine="rad/s"),
+        From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
+    )
 
     @face("geared")
     def law(self) -> Mapping[str, Any]:
@@ -53,7 +62,7 @@ class Clutch(TwoSided):
         """Publish the required output point, which the control looks at."""
         return {"tau_clutch": output.tau, "omega_clutch": output.omega}
 
-    def chain(self, clutch_open: Expr, clutch_slipping: Expr, omega_launch: Expr, engine: Engine) -> tuple[Link, ...]:  # type: ignore[override]
+    def chain(self, clutch_open: Expr, clutch_slipping: Expr, omega_launch: Expr, engine: Machine) -> tuple[Link, ...]:  # type: ignore[override]
         """Return the torque that passes and the speed behind the clutch."""
 
         def cut(load: Shaft) -> Shaft:
@@ -81,7 +90,7 @@ class Clutch(TwoSided):
         omega_engine: Expr,
         omega_idle: Expr,
         omega_launch: Expr,
-        engine: Engine,
+        engine: Machine,
         tau_grip_out: Expr,
         tau_grip_in: Expr,
     ) -> Mapping[str, Any]:

@@ -34,7 +34,7 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import State, face
+from halfshaft.library.base.component import From, Signal, State, face
 from halfshaft.library.base.expressions import Direction, Turning, clip, where
 from halfshaft.library.base.links import Link, TwoSided, inertia, limit
 from halfshaft.library.base.parameters import Parameters, param, params, table
@@ -91,7 +91,13 @@ class _Gearbox(TwoSided):
     output = Port(Shaft, "wheel")
     input = Port(Shaft, "source")
     states = (State("torque_ratio", "1", "output over input torque of the previous step, both at the input's speed", signal=True),)
-    laws = ("ratios", "tau_gearbox", "omega_gearbox", "omega_gearbox_input")
+    signals = (
+        Signal("ratios", "1", "ratio of input speed to output speed, gear by gear"),
+        Signal("tau_gearbox", "N.m", "required output torque"),
+        Signal("omega_gearbox", "rad/s", "required output speed"),
+        Signal("omega_gearbox_input", "rad/s", "offered input speed"),
+    )
+    reads = (From("shift", ratio="1", gear="1"), From("shift", optional=True, shifting="1"))
 
     @face("ratios")
     def law(self) -> Mapping[str, Any]:
@@ -121,14 +127,14 @@ class _Gearbox(TwoSided):
             return Shaft(tau, load.omega * ratio, load.alpha * ratio)
 
         return (
-            Link(law, lambda asked, sent, offered: same_efficiency(asked, sent, offered, ratio)),
+            Link(law, lambda asked, sent, offered: same_efficiency(asked, sent, offered, ratio), name="mesh"),
             inertia(self.p.J),
             limit(lambda shaft: shaft._replace(tau=where(shifting, 0, shaft.tau))),
         )
 
-    def found(self, way: Any) -> Mapping[str, Any]:
+    def found(self, way: Mapping[str, tuple[Shaft, Shaft]]) -> Mapping[str, Any]:
         """Return the ratio of torques for the shift logic's estimate."""
-        _, asked, sent = way[0]
+        asked, sent = way["mesh"]
         tau = asked.tau * asked.omega / where(sent.omega > 0, sent.omega, 1)
         return {"next_torque_ratio": where(tau * sent.tau > 0, tau / where(tau * sent.tau > 0, sent.tau, 1), 0)}
 

@@ -21,16 +21,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, State, Variable, face, plant
+from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port
 from halfshaft.library.base.tables import Axis, Table
-from halfshaft.library.electric.motor import MotorParameters
 
 TEMPERATURE, CHARGE = Axis("T", "K"), Axis("soc", "1")
 
@@ -99,7 +99,7 @@ class Battery(Component):
         State("charge_drawn", "C", "charge drawn from the full pack", shown=True),
         State("T", "K", "temperature of the modules", shown=True),
         State("soc", "1", "state of charge", shown=True),
-        State("U_supply", "V", "voltage at the end of the previous step", signal=True),
+        State("U_supply", "V", "voltage at the end of the previous step", signal=True, neutral=0.0),
     )
     variables = (
         Variable("U", "V", "terminal voltage", signal=True),
@@ -132,13 +132,13 @@ class Battery(Component):
         r = where(P >= 0, p.r_discharge(T, soc), p.r_charge(T, soc))
         return Circuit(p.n_modules * p.u_oc(T, soc), p.n_modules * r / p.capacity_scale)
 
-    def limits_at(self, soc: Expr, T: Expr, motor: MotorParameters) -> Limits:
-        """Return the limits of power and current."""
+    def limits_at(self, soc: Expr, T: Expr, U_min: tuple[Expr, ...] = ()) -> Limits:
+        """Return the limits of power and current; `U_min` are the lowest voltages of what hangs on the bus."""
         p = self.p
         N, u_oc = p.n_modules, p.u_oc(T, soc)
         U_oc, scale = N * u_oc, N / p.capacity_scale
-        U_min = ca.fmax(ca.fmax(0.5 * U_oc, motor.U_min), N * p.u_min)
-        P_max = ca.fmax(0, (U_oc - U_min) * U_min / (scale * p.r_discharge(T, soc)))
+        U_lowest = ca.fmax(reduce(ca.fmax, U_min, 0.5 * U_oc), N * p.u_min)
+        P_max = ca.fmax(0, (U_oc - U_lowest) * U_lowest / (scale * p.r_discharge(T, soc)))
         I_min = ca.fmin(0, (U_oc - N * p.u_max) / (scale * p.r_charge(T, soc)))
         P_min = I_min * (U_oc - I_min * scale * p.r_charge(T, soc))
         return Limits(where(soc > SOC_EMPTY, P_max, 0), where(soc < SOC_FULL, P_min, 0), I_min)
@@ -158,13 +158,18 @@ class Battery(Component):
         }
 
     plant_states = ((states[0], "charge_drawn"), (states[1], "T"))
-    laws = ("P_room_out", "P_room_in", "soc_before")
+    signals = (
+        Signal("P_room_out", "W", "what the pack can give more"),
+        Signal("P_room_in", "W", "what it can take more"),
+        Signal("soc_before", "1", "state of charge at the start of the step"),
+    )
+    reads = (From("load", each=True, U_min="V"),)
 
     @face("P_battery_max", "P_battery_min", "soc_before", "_limits")
-    def limits(self, charge_drawn: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
+    def limits(self, charge_drawn: Expr, T: Expr, U_min: tuple[Expr, ...]) -> Mapping[str, Any]:
         """Publish the state of charge at the start of the step and the limits, which the control of a series hybrid looks at."""
         soc = self.soc(charge_drawn, T)
-        limits = self.limits_at(soc, T, motor)
+        limits = self.limits_at(soc, T, U_min)
         return {"P_battery_max": limits.P_max, "P_battery_min": limits.P_min, "soc_before": soc, "_limits": limits}
 
     @face("dc", "next_soc", "U", "I", "P_stored", "P_loss", "battery_limited", "next_charge_drawn", "next_T", "next_U_supply")
@@ -204,10 +209,10 @@ class Battery(Component):
         return {"R I^2": P_loss - loss, "store": P_stored - dc.P - loss, "charge": P_stored - circuit.U_oc * drawn / dt}
 
     @plant("der_charge_drawn", "der_T", "soc", "U", "I", "P_stored", "P_loss", "P_room_out", "P_room_in")
-    def flow(self, dc: Electric, charge_drawn: Expr, T: Expr, motor: MotorParameters) -> Mapping[str, Any]:
+    def flow(self, dc: Electric, charge_drawn: Expr, T: Expr, U_min: tuple[Expr, ...]) -> Mapping[str, Any]:
         """Return the rates in continuous time, and how far the power is from its limits."""
         soc = self.soc(charge_drawn, T)
-        limits, circuit = self.limits_at(soc, T, motor), self.circuit(soc, T, dc.P)
+        limits, circuit = self.limits_at(soc, T, U_min), self.circuit(soc, T, dc.P)
         current = circuit.current(dc.P)
         rates = self.rates(circuit, current, T)
         return {

@@ -17,7 +17,7 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, State, Variable, face, plant
+from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
 from halfshaft.library.base.parameters import Parameters, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
@@ -50,18 +50,23 @@ class Generator(Component):
     parameters = GeneratorParameters
     dc = Port(Electric, "wheel")
     shaft = Port(Shaft, "source")
-    states = (State("omega_before", "rad/s", "speed of the previous step"),)
+    states = (State("omega_before", "rad/s", "speed of the previous step", neutral=0.0),)
     variables = (
         Variable("P_loss", "W", "power lost", "loss"),
         Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"),
         Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
     )
-    laws = ("generator", "J_shaft")
+    signals = (Signal("J_shaft", "kg.m^2", "inertia that the engine turns beside its own"),)
+    reads = (
+        From("control", tau_genset="N.m", omega_genset="rad/s", clutch_open="1"),
+        From("battery", U_supply="V"),
+        From("engine", omega_engine="rad/s"),
+    )
 
-    @face("generator", "J_shaft")
+    @face("J_shaft")
     def law(self) -> Mapping[str, Any]:
-        """Publish the generator's law, which the control needs for its estimate, and its inertia, which the engine turns."""
-        return {"generator": self, "J_shaft": self.p.J}
+        """Publish the rotor's inertia."""
+        return {"J_shaft": self.p.J}
 
     def power(self, tau: Expr, omega: Expr) -> Expr:
         """Return the electric output power of the map [W]."""

@@ -23,8 +23,9 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import State, Variable, face, plant
+from halfshaft.library.base.component import From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
+from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import Link, TwoSided, inertia, limit
 from halfshaft.library.base.parameters import Parameters, Relation, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
@@ -57,7 +58,7 @@ class MotorParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class Motor(TwoSided):
+class Motor(TwoSided, Machine):
     """Motor and controller between the gearbox's shaft and the supply."""
 
     kind = "motor"
@@ -65,19 +66,45 @@ class Motor(TwoSided):
     parameters = MotorParameters
     shaft = Port(Shaft, "wheel")
     dc = Port(Electric, "source")
-    states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed"),)
+    states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),)
     variables = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
         Variable("throttle_motor", "1", "that torque over the envelope, negative while braking", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
     )
-    laws = ("tau_envelope", "motor")
+    signals = (Signal("U_min", "V", "lowest supply voltage"),)
+    reads = (
+        From("body", trace_missed="1", speed_ratio="1"),
+        From("battery", U_supply="V"),
+        From("shift", optional=True, shifting="1"),
+        From("battery", U="V", P_room_out="W", P_room_in="W"),
+        From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
+    )
     estimates = True
 
-    @face("tau_envelope", "motor")
+    @face("U_min")
     def law(self) -> Mapping[str, Any]:
-        """Publish the continuous envelope for the shift logic, and the supply's needs for the battery."""
-        return {"tau_envelope": lambda omega: self.envelope(omega, self.p.tau_max), "motor": self.p}
+        """Publish the voltage that the supply must keep."""
+        return {"U_min": self.p.U_min}
+
+    def tau_envelope(self, omega: Expr) -> Expr:
+        """Return the continuous driving torque at a speed [N.m]."""
+        return self.envelope(omega, self.p.tau_max)
+
+    @property
+    def omega_max(self) -> Expr:
+        """Highest speed [rad/s]."""
+        return self.p.omega_max * self.p.speed_scale
+
+    @property
+    def tau_largest(self) -> Expr:
+        """Largest torque of the envelope, overtorque left out [N.m]."""
+        return self.p.torque_scale * float(self.p.tau_max.values.max())
+
+    @property
+    def P_largest(self) -> Expr:
+        """Largest power of the envelope's points, overtorque left out [W]."""
+        return self.p.speed_scale * self.p.torque_scale * float((self.p.tau_max.values * self.p.tau_max.points[0]).max())
 
     def envelope(self, omega: Expr, tau: Callable[[Expr], Expr]) -> Expr:
         """Return a scaled envelope at a speed, without overtorque [N.m]."""
@@ -98,7 +125,7 @@ class Motor(TwoSided):
         self, trace_missed: Expr, speed_ratio: Expr, omega_before: Expr, U_supply: Expr, turning: Turning, shifting: Expr = 0.0
     ) -> tuple[Link, ...]:
         """Return equations (8), (9), (7) and (6) in this order."""
-        omega_top = self.p.omega_max * self.p.speed_scale
+        omega_top = self.omega_max
 
         def speed(asked: Shaft) -> Shaft:
             return asked._replace(omega=clip(asked.omega, 0, omega_top))
@@ -136,9 +163,9 @@ class Motor(TwoSided):
             limit(current),
         )
 
-    def found(self, way: Any) -> Mapping[str, Any]:
+    def found(self, way: Mapping[str, tuple[Shaft, Shaft]]) -> Mapping[str, Any]:
         """Return the speed for equation (10), and the throttle."""
-        _, asked, sent = way[2]
+        asked, sent = way["limited"]
         lowest, highest = self.limits(sent.omega)
         limit = where(sent.tau >= 0, ca.fmax(highest, 1e-9), ca.fmax(-lowest, 1e-9))
         return {"next_omega_before": asked.omega, "throttle_motor": clip(sent.tau / limit, -1, 1)}
@@ -162,7 +189,7 @@ class Motor(TwoSided):
         The torque fades over the last half per cent below the top speed.
         """
         lowest, highest = self.limits(ca.fabs(_omega))
-        top = self.p.omega_max * self.p.speed_scale
+        top = self.omega_max
         fade = clip((top - ca.fabs(_omega)) / (0.005 * top), 0, 1)
         tau = where(throttle_motor >= 0, throttle_motor * highest * fade, -throttle_motor * lowest)
         scale = ca.fmax(ca.fabs(_omega), 10)

@@ -11,7 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import State
+from halfshaft.library.base.component import From, State
 from halfshaft.library.base.expressions import where
 from halfshaft.library.base.links import Link, TwoSided
 from halfshaft.library.base.parameters import Parameters, param
@@ -36,6 +36,7 @@ class MechanicalAccessories(TwoSided):
     parameters = MechanicalAccessoriesParameters
     load = Port(Shaft, "wheel")
     supply = Port(Shaft, "source")
+    reads = (From("engine", omega_engine="rad/s"), From("control", omega_idle="rad/s", engine_on="1"))
     states = (State("tau_accessory_before", "N.m", "torque of the accessories in the previous step", signal=True),)
 
     def torque(self, omega: Expr, omega_idle: Expr, engine_on: Expr) -> Expr:
@@ -51,10 +52,11 @@ class MechanicalAccessories(TwoSided):
             Link(
                 lambda load: load._replace(tau=load.tau + tau),
                 lambda asked, sent, offered: offered._replace(tau=offered.tau - tau),
+                name="belt",
             ),
         )
 
-    def found(self, way: Any) -> Mapping[str, Any]:
+    def found(self, way: Mapping[str, tuple[Shaft, Shaft]]) -> Mapping[str, Any]:
         """Return the torque for the shift logic and the engine's free spinning."""
-        _, asked, sent = way[0]
+        asked, sent = way["belt"]
         return {"next_tau_accessory_before": sent.tau - asked.tau}

@@ -30,8 +30,9 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, State, Variable, face, plant
+from halfshaft.library.base.component import Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
+from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.parameters import Parameters, Relation, param, table
 from halfshaft.library.base.ports import Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
@@ -65,7 +66,7 @@ class EngineParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class Engine(Component):
+class Engine(Component, Machine):
     """Engine behind a clutch or a generator."""
 
     kind = "engine"
@@ -92,17 +93,25 @@ class Engine(Component):
         Variable("P_mismatch", "W", "power at the engine's own speed less that at the shaft", "mismatch"),
     )
     plant_states = ((State("omega_engine", "rad/s", "speed of the engine", signal=True), "omega_own"), (states[4], "fuel_used"))
-    laws = ("tau_envelope", "engine")
+    reads = (
+        From("control", omega_command="rad/s", engine_on="1", omega_idle="rad/s", clutch_open="1"),
+        From("control", optional=True, clutch_slipping="1"),
+        From("body", v="m/s", trace_missed="1", speed_ratio="1"),
+        From("wheel", v_limited="m/s"),
+        From("clutch", optional=True, geared="1"),
+        From("accessories", optional=True, tau_accessory_before="N.m"),
+        From("shift", optional=True, ratio="1"),
+        From("generator", optional=True, J_shaft="kg.m^2"),
+    )
 
     def start(self, omega_idle: Expr) -> Mapping[str, Any]:  # type: ignore[override]
         """Return the start values: idling."""
         idling = dict.fromkeys(("omega_own", "omega_free", "command_before"), omega_idle)
         return {**idling, "ratio_before": 1.0, "fuel_used": 0.0}
 
-    @face("tau_envelope", "engine")
-    def law(self) -> Mapping[str, Any]:
-        """Publish the envelope, the highest speed and the largest torque and power."""
-        return {"tau_envelope": self.tau_max, "engine": self}
+    def tau_envelope(self, omega: Expr) -> Expr:
+        """Return the largest torque at a speed [N.m]."""
+        return self.tau_max(omega)
 
     @property
     def omega_max(self) -> Expr:

@@ -102,8 +102,9 @@ def test_a_car_comes_to_rest_on_a_hill_that_is_too_steep():
 
 
 def test_drag_opposes_motion_backward_too():
-    body = vehicle_of("small-car-electric").components()["body"]
-    ahead, back = (body.motion(v, 0.0, 0.0, (0.01, 0.0), np.sign) for v in (20.0, -20.0))
+    parts = vehicle_of("small-car-electric").components()
+    body, wheel = parts["body"], parts["wheel"]
+    ahead, back = (body.motion(v, 0.0, 0.0, wheel, np.sign) for v in (20.0, -20.0))
     assert back["tyre"].F == -ahead["tyre"].F
     assert back["P_aero"] == ahead["P_aero"] > 0
     assert back["P_roll"] == ahead["P_roll"] > 0

@@ -126,7 +126,7 @@ def test_a_hill_costs_its_potential_energy_and_gives_it_back(ideal):
 def test_coasting_follows_the_closed_solution_to_second_order():
     body, wheel = CAR.components()["body"], CAR.components()["wheel"]
     m, roll, aero = body.p.m, body.p.m * body.p.g * wheel.p.f_0, 0.5 * body.p.rho * body.p.c_d * body.p.A
-    resistance = body.resistance(0.0, (wheel.p.f_0, 0.0))
+    resistance = body.resistance(0.0, wheel)
     v_start, duration = 30.0, 60.0
 
     def coasted(dt):
@@ -150,7 +150,7 @@ def test_coasting_follows_the_closed_solution_to_second_order():
 
 def test_a_coasting_body_comes_to_rest_and_stays():
     body = CAR.components()["body"]
-    resistance = body.resistance(0.0, (0.01, 0.0))
+    resistance = body.resistance(0.0, CAR.components()["wheel"])
     v = 1.0
     for _ in range(30):
         v = float(
@@ -187,8 +187,8 @@ def test_a_pack_under_constant_power_empties_in_a_straight_line(P):
 
 
 def test_a_pack_stores_the_coulombic_share_of_what_it_is_charged_with():
-    battery, motor = pack(), CAR.components()["motor"].p
-    limits = battery.limits_at(0.5, 293.15, motor)
+    battery, U_min = pack(), (CAR.components()["motor"].p.U_min,)
+    limits = battery.limits_at(0.5, 293.15, U_min)
     given = {n: float(x) for n, x in battery.available(Electric(-10e3), limits, 0.5, 5e5, 293.15, 1.0).items() if n != "dc"}
     current = (400 - np.sqrt(400**2 + 4 * 0.1 * 10e3)) / 0.2
     assert given["I"] == pytest.approx(current, rel=1e-12)

@@ -159,10 +159,9 @@ def body_and_road(name, wheel, **values):
     body = component(name, **values)
     x = ca.SX.sym("x", 3)  # speed at the start, acceleration, grade
     v, a, grade = ca.vertsplit(x)
-    rolling = (wheel.p.f_0, wheel.p.f_1)
-    asked = body.required(v + a * DT, v, grade, DT, rolling, step_turning)
-    plant = body.motion(v + a * DT / 2, a, grade, rolling, step_turning)["tyre"]
-    smooth = body.motion(v + a * DT / 2, a, grade, rolling, plant_turning)["tyre"]
+    asked = body.required(v + a * DT, v, grade, DT, wheel, step_turning)
+    plant = body.motion(v + a * DT / 2, a, grade, wheel, step_turning)["tyre"]
+    smooth = body.motion(v + a * DT / 2, a, grade, wheel, plant_turning)["tyre"]
     return body, x, asked, plant, smooth
 
 
@@ -198,7 +197,7 @@ def wheel_case(name, body_name, seed, **values):
     tyre = asked["tyre"]
 
     def required(v_before):
-        return wheel.required(tyre, v, grade, DT, body.p, v_before, step_turning)
+        return wheel.required(tyre, v, grade, DT, body, v_before, step_turning)
 
     # The plant's wheels turn with the vehicle; so do these when they did one step earlier.
     way = required(required(0.0)["v_limited"] - DT * a)
@@ -209,10 +208,10 @@ def wheel_case(name, body_name, seed, **values):
     losses = ca.vertcat(back["P_brake"], back["P_slip"], back["P_bearing"])
 
     def plant(turning):
-        return wheel.flow(tyre, front, rear, grade, body.p, turning)["axle"]
+        return wheel.flow(tyre, front, rear, grade, body, turning)["axle"]
 
     # Tyres that hold less than their brakes take, which the step finds on its way back.
-    loads = wheel.weight(a, grade, body.p)
+    loads = body.loads(a, grade)
     braked = sum(F < -wheel.p.mu_max * load for F, load in zip((front, rear), loads, strict=True))
     limited = ca.Function("limited", [x], [way["slip_limited"] + (way["v_limited"] != tyre.v) + braked])
     points = trips(seed)
@@ -236,17 +235,17 @@ def bus_case(part, generator):
 
 
 def battery_case(name, seed, **values):
-    part, motor = component(name, **values), component("pm-32kw").p
+    part, U_min = component(name, **values), (component("pm-32kw").p.U_min,)
     x = ca.SX.sym("x", 3)  # power, state of charge, temperature
     P, soc, T = ca.vertsplit(x)
     drawn = (1 - soc) * part.capacity(T)
-    given = part.available(Electric(P), part.limits_at(soc, T, motor), soc, drawn, T, DT)
-    flow = part.flow(Electric(P), drawn, T, motor)
+    given = part.available(Electric(P), part.limits_at(soc, T, U_min), soc, drawn, T, DT)
+    flow = part.flow(Electric(P), drawn, T, U_min)
     ends = ca.vertcat(given["I"], given["U"], (given["next_charge_drawn"] - drawn) / DT, (given["next_T"] - T) / DT)
     rates = ca.vertcat(flow["I"], flow["U"], flow["der_charge_drawn"], flow["der_T"])
     rng = random(seed)
     soc_T = np.column_stack([rng.uniform(0.01, 0.99, N), rng.uniform(263, 323, N)])
-    limits = part.limits_at(soc, T, motor)
+    limits = part.limits_at(soc, T, U_min)
     lowest, highest = ca.Function("limits", [soc, T], [limits.P_min, limits.P_max])(soc_T[:, :1].T, soc_T[:, 1:].T)
     lowest, highest = lowest.full().ravel(), highest.full().ravel()
     power = lowest + (highest - lowest) * rng.uniform(0.001, 0.999, N)

@@ -1,7 +1,15 @@
 import pytest
 
+from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.files.component_file import read_component
 
+
+class Steady(Machine):
+    def tau_envelope(self, omega):
+        return 100.0
+
+
+MACHINE = Steady()
 RATIOS = (13.45, 7.57, 5.01, 3.77, 2.84)
 
 
@@ -21,7 +29,7 @@ class Box:
         ratio = RATIOS[int(self.state["gear_before"]) - 1]
         given = self.part.control(
             tau_gearbox=100 * load * ratio, omega_gearbox=omega_engine / ratio, slip_limited=0.0, trace_missed=0.0, torque_ratio=1.0,
-            ratios=RATIOS, tau_envelope=lambda omega: 100.0, dt=self.dt, decided=0.0, omega_estimate=0.0, **self.state,
+            ratios=RATIOS, machine=MACHINE, dt=self.dt, decided=0.0, omega_estimate=0.0, **self.state,
         )  # fmt: skip
         self.state = {k: float(given[f"next_{k}"]) for k in self.state}
         return int(self.state["gear_before"])
@@ -57,7 +65,5 @@ def test_the_time_in_a_raised_gear_is_a_number_of_the_shift():
 def test_a_request_out_of_reach_shifts_by_the_speed_that_was_reached(signal, seen):
     part, known = shift(), {"slip_limited": 0.0, "trace_missed": 0.0, "torque_ratio": 1.0, "dt": 0.1, "decided": 0.0, **signal}
     state = {"gear_before": 1.0, "raised": 0.0, "t_since_shift": 15.0, "omega_estimate": 200.0}
-    given = part.control(
-        tau_gearbox=50 * RATIOS[0], omega_gearbox=300.0 / RATIOS[0], ratios=RATIOS, tau_envelope=lambda omega: 100.0, **known, **state
-    )
+    given = part.control(tau_gearbox=50 * RATIOS[0], omega_gearbox=300.0 / RATIOS[0], ratios=RATIOS, machine=MACHINE, **known, **state)
     assert float(given["omega_input_estimate"]) == pytest.approx(seen)

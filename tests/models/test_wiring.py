@@ -7,15 +7,20 @@ from halfshaft.cosim.account import account
 from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.forward import Forward
-from halfshaft.library.base.component import Component, State, Variable, face
+from halfshaft.library.base.component import Component, From, Signal, State, Unknown, Variable, face, plant
 from halfshaft.library.base.errors import WiringError
 from halfshaft.library.base.links import TwoSided, drag, inertia
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Electric, Port, Shaft
-from halfshaft.models.assembly import assemble
+from halfshaft.library.base.tables import interpolants
+from halfshaft.library.engine.engine import Engine
+from halfshaft.models.assembly import all_tables, assemble
+from halfshaft.models.forward import assemble_plant
 from halfshaft.models.model import Model
+from halfshaft.models.powertrains import series as series_hybrid
 from halfshaft.models.powertrains.electric import electric
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.models.wiring import Wiring
 
 PARTS = Vehicle.load("small-car-electric").components()
 
@@ -64,6 +69,22 @@ def problems(make, *arguments):
     return list(e.value.problems)
 
 
+def with_extra(component):
+    """Return the electric car with one more part, which has no port."""
+    return electric.model({**PARTS, "extra": component(BearingParameters())})
+
+
+@dataclass(frozen=True)
+class Extra(Component):
+    """Base of parts that hang on signals alone."""
+
+    p: BearingParameters
+    parameters = BearingParameters
+
+
+HEAT = Variable("heat", "W", "heat")
+
+
 def test_every_misfit_is_named_in_one_error_with_both_ends():
     m = electric.model(PARTS)
     p = m.parts
@@ -82,7 +103,7 @@ def test_misfits_and_unknown_signals_come_together():
     m.connect(m.parts["motor"].dc, m.parts["gearbox"].output)
     found = problems(assemble, m)
     assert found[0].endswith("the kinds differ")
-    assert any("gearbox.required reads the signal ratio, which no part publishes" in problem for problem in found)
+    assert any(problem.startswith("gearbox reads the signal ratio, which no part publishes") for problem in found)
 
 
 def test_ports_that_are_left_open_are_named_but_for_optional_ones():
@@ -110,14 +131,104 @@ def test_a_part_of_another_model_cannot_be_connected():
 
 def test_a_signal_that_nobody_publishes_names_the_nearest():
     found = problems(assemble, electric.model({n: part for n, part in PARTS.items() if n != "shift"}))
-    assert "gearbox.required reads the signal ratio, which no part publishes, did you mean 'ratios'?" in found
+    assert "gearbox reads the signal ratio, which no part publishes, did you mean 'speed_ratio'?" in found
 
 
-def test_a_signal_has_one_owner():
-    m = electric.model({**PARTS, "second_shift": PARTS["shift"].__class__(PARTS["shift"].p)})
-    assert problems(assemble, m) == [
-        "the signal ratio is published by shift and second_shift; one part must own it",
-        "the signal gear is published by shift and second_shift; one part must own it",
+def two_shifts():
+    return electric.model({**PARTS, "second_shift": PARTS["shift"].__class__(PARTS["shift"].p)})
+
+
+def test_where_several_parts_publish_a_signal_the_powertrain_says_which():
+    assert problems(assemble, two_shifts()) == [
+        "gearbox reads the signals ratio, gear of its shift, which shift and second_shift publish; "
+        'the powertrain must say which: bind("gearbox", shift=...)'
+    ]
+    m = two_shifts()
+    m.bind("gearbox", shift="second_shift")
+    assert "motor.tau" in assemble(m).output_index
+
+
+def test_a_binding_names_parts_and_owners_that_there_are():
+    m = two_shifts()
+    m.bind("gearbox", shift="motor", shft="shift")
+    m.bind("motor", battery="batery")
+    found = problems(assemble, m)
+    assert found[:2] == [
+        "batery is no part of this model, did you mean 'battery'?",
+        "gearbox is bound to a shft, of which it reads nothing, did you mean 'shift'?",
+    ]
+    assert "gearbox reads the signals ratio, gear of its shift from motor, which does not publish ratio, gear" in found
+    assert "motor reads the signal U_supply of its battery from batery, which is no such part" in found
+
+
+def test_a_signal_has_the_unit_that_its_reader_expects():
+    class Imperial(Extra):
+        variables = (HEAT,)
+        reads = (From("body", v="mph"),)
+
+        @face("heat")
+        def one(self, v):
+            return {"heat": v}
+
+    assert problems(assemble, with_extra(Imperial)) == ["extra reads the signal v in mph, body publishes it in m/s"]
+
+
+def test_all_parts_that_publish_a_signal_can_be_read_at_once():
+    class Sum(Extra):
+        variables = (HEAT,)
+        reads = (From("all", each=True, U_min="V"), From("none", each=True, omega_launch="rad/s"))
+
+        @face("heat")
+        def one(self, U_min, omega_launch):
+            return {"heat": sum(U_min) + 100 * len(U_min) + len(omega_launch)}
+
+    class Louder(Extra):
+        signals = (Signal("U_min", "V", "another lowest voltage"),)
+
+        @face("U_min")
+        def law(self):
+            return {"U_min": 7.0}
+
+    step = assemble(electric.model({**PARTS, "second": Louder(BearingParameters()), "extra": Sum(BearingParameters())}))
+    parameters = [d.start for d in step.parameters]
+    _, outputs = step.function(step.start(parameters), [0, 0, 1, 1, 0], parameters)
+    assert float(outputs[step.output_index["extra.heat"]]) == PARTS["motor"].p.U_min + 7 + 200
+
+
+def test_parts_may_be_listed_in_any_order():
+    plain = assemble(electric.model(PARTS))
+    turned = assemble(electric.model(dict(reversed(PARTS.items()))))
+    assert {d.name for d in turned.outputs} == {d.name for d in plain.outputs}
+    one, other = marched(stepper(electric.model(PARTS)))[0], marched(stepper(electric.model(dict(reversed(PARTS.items())))))[0]
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_shift_logic_looks_at_the_machine_behind_its_gearbox(order):
+    # An engine stands on the bus of a series hybrid, and has an envelope too.
+    parts = Vehicle.load("small-car-series").components() | {"shift": Vehicle.load("small-car-conventional").components()["shift"]}
+    wiring = Wiring(series_hybrid.series.model(dict(list(parts.items())[::order])), parts)
+    assert wiring.read["shift"]["machine"] == ("part", "motor", "")
+
+
+def test_unknowns_are_counted_against_balances():
+    class Divider(Extra):
+        unknowns = (Unknown("tau_share", "N.m", "torque of one branch"),)
+        variables = (HEAT,)
+        reads = (From("body", v="m/s"),)
+
+        @face("heat")
+        def one(self, v):
+            return {"heat": v}
+
+        @plant("heat")
+        def two(self, tau_share):
+            return {"heat": tau_share}
+
+    m = with_extra(Divider)
+    assert problems(assemble_plant, m, assemble(m), interpolants(all_tables(m))) == [
+        "the forward-facing model has the unknowns body.a, extra.tau_share, but balances of motor: a machine or clutch at the end "
+        "of a chain gives one, a part that divides a flow brings one unknown"
     ]
 
 
@@ -128,33 +239,22 @@ def test_what_a_face_gives_must_be_declared():
         parameters = BearingParameters
 
         @face("heat")
-        def warm(self, v):
-            return {"heat": v}
+        def warm(self, dt):
+            return {"heat": dt}
 
     found = problems(assemble, electric.model({**PARTS, "careless": Careless(BearingParameters())}))
     assert found == ["careless.warm gives heat, which Careless does not declare"]
 
 
-def with_extra(component):
-    """Return the electric car with one more part, which has no port."""
-    return electric.model({**PARTS, "extra": component(BearingParameters())})
-
-
-@dataclass(frozen=True)
-class Extra(Component):
-    """Base of parts that hang on signals alone."""
-
-    p: BearingParameters
-    parameters = BearingParameters
-
-
-HEAT = Variable("heat", "W", "heat")
 MEMORY = State("warm", "1", "whether it is warm")
 
 
-class GivenTwice(Extra):
+class Reading(Extra):
     variables = (HEAT,)
+    reads = (From("body", v="m/s"),)
 
+
+class GivenTwice(Reading):
     @face("heat")
     def one(self, v):
         return {"heat": v}
@@ -166,7 +266,7 @@ class GivenTwice(Extra):
 
 class NeverGiven(Extra):
     variables = (HEAT,)
-    laws = ("cold",)
+    signals = (Signal("cold", "1", "whether it is cold"),)
 
 
 class WithoutNext(Extra):
@@ -175,21 +275,59 @@ class WithoutNext(Extra):
 
 class Misspelt(Extra):
     variables = (HEAT,)
+    reads = (From("shift", optional=True, shiftng="1"),)
 
     @face("heat")
-    def one(self, v, shiftng=0.0):
-        return {"heat": v * shiftng}
+    def one(self, dt, shiftng=0.0):
+        return {"heat": dt * shiftng}
 
 
-class Absent(Extra):
+class Undeclared(Extra):
     variables = (HEAT,)
+    reads = (From("shift", optional=True, shifting="1"),)
+
+    @face("heat")
+    def one(self, dt, shiftng=0.0):
+        return {"heat": dt * shiftng}
+
+
+class WithoutDefault(Extra):
+    variables = (HEAT,)
+    reads = (From("shift", optional=True, shifting="1"),)
+
+    @face("heat")
+    def one(self, shifting):
+        return {"heat": shifting}
+
+
+class Scattered(Extra):
+    variables = (HEAT,)
+    reads = (From("car", v="m/s", U_supply="V"),)
+
+    @face("heat")
+    def one(self, v, U_supply):
+        return {"heat": v * U_supply}
+
+
+class OfNoSuchClass(Extra):
+    variables = (HEAT,)
+    reads = (From("engine", Engine),)
+
+    @face("heat")
+    def one(self, engine):
+        return {"heat": engine.omega_max}
+
+
+class Absent(Reading):
+    reads = (*Reading.reads, From("control", optional=True, clutch_slipping="1"))
 
     @face("heat")
     def one(self, v, clutch_slipping=1.0):
         return {"heat": v * clutch_slipping}
 
 
-class Shadowing(Extra):
+class Shadowing(Reading):
+    variables = ()
     states = (State("v", "m/s", "a speed of its own"),)
 
     @face("next_v")
@@ -210,26 +348,26 @@ class StartsFromNothing(WithoutNext):
     def one(self, warm):
         return {"next_warm": warm}
 
+    reads = (From("body", speed_ratio="1"),)
+
     def start(self, speed_rato):
         return {"warm": speed_rato}
 
 
 class StartsShort(StartsFromNothing):
+    reads = ()
+
     def start(self):
         return {}
 
 
-class ReturnsLess(NeverGiven):
-    laws = ()
-
+class ReturnsLess(Reading):
     @face("heat")
     def one(self, v):
         return {}
 
 
-class ReturnsMore(NeverGiven):
-    laws = ()
-
+class ReturnsMore(Reading):
     @face("heat")
     def one(self, v):
         return {"heat": v, "light": v}
@@ -241,10 +379,17 @@ class ReturnsMore(NeverGiven):
         (GivenTwice, ["extra.one and extra.other both give heat; one of them must"]),
         (NeverGiven, ["extra declares heat, but no face gives heat", "extra declares cold, but no face gives cold"]),
         (WithoutNext, ["extra declares warm, but no face gives next_warm"]),
-        (Misspelt, ["extra.one reads the signal shiftng, which no part publishes, did you mean 'shifting'?"]),
-        (Shadowing, ["extra declares the state v, which is a signal of body; its own would hide it"]),
+        (Misspelt, ["extra reads the signal shiftng, which no part publishes, did you mean 'shifting'?"]),
+        (Undeclared, ["extra.one takes shiftng, which Undeclared neither has nor reads of another part, did you mean 'shifting'?"]),
+        (WithoutDefault, ["extra.one takes shifting, which may be absent; it must have a default"]),
+        (Scattered, ["extra reads signals of one car, which no part publishes all: v by body, U_supply by battery"]),
+        (OfNoSuchClass, ["extra reads of a engine that is a Engine, but there is none"]),
+        (Shadowing, ["extra declares the state v, which it reads of its body; its own would hide it"]),
         (NamedLikeARequest, ["extra declares the state grade, which every part can read as the request or law of that name"]),
-        (StartsFromNothing, ["extra.start reads speed_rato, which is no state and no law of any part, did you mean 'speed_ratio'?"]),
+        (
+            StartsFromNothing,
+            ["extra.start reads speed_rato, which is no state and no law of a part that it reads of, did you mean 'speed_ratio'?"],
+        ),
         (StartsShort, ["extra.start gives no warm"]),
         (ReturnsLess, ["extra.one returns no heat, which it declares to give"]),
         (ReturnsMore, ["extra.one returns light, which it does not declare to give"]),
@@ -278,6 +423,7 @@ def test_a_two_sided_part_has_one_port_a_side():
 def test_no_output_is_named_twice():
     @dataclass(frozen=True)
     class Doubled(Bearing):
+        reads = (From("body", v="m/s"),)
         variables = (Variable("omega", "rad/s", "its speed, which the port shows as well"),)
 
         @face("omega")
@@ -292,6 +438,8 @@ def test_no_output_is_named_twice():
 @dataclass(frozen=True)
 class Impatient(Bearing):
     """Wants the voltage of this very step, which depends on its own torque."""
+
+    reads = (From("battery", U="V"),)
 
     def chain(self, U):
         return (drag(self.p.tau * U),)
@@ -311,6 +459,8 @@ def test_a_loop_without_memory_is_refused_by_the_names_of_its_faces():
 def test_the_same_loop_through_a_memory_is_fine():
     @dataclass(frozen=True)
     class Patient(Bearing):
+        reads = (From("battery", U_supply="V"),)
+
         def chain(self, U_supply):
             return (drag(self.p.tau * U_supply),)
 
