@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 
@@ -68,7 +68,7 @@ class PowerFollower(Component):
     """Decides when a source runs and at what power; a subclass gives `_supply` and an operating point."""
 
     p: PowerFollowerParameters
-    states = (
+    states: ClassVar[tuple[State, ...]] = (
         State("on_before", "1", "whether the source was on in the previous step"),
         State("t_off", "s", "time since the source was stopped, below 0 in the step that stops it"),
         State("P_before", "W", "slewed power of the previous step; below 0 before the first"),
@@ -76,7 +76,7 @@ class PowerFollower(Component):
         State("part_energy", "J", "demand in the present part of the average"),
         *(State(f"part_{i}", "J", f"demand in the part {i} s ago") for i in range(1, PARTS + 1)),
     )
-    reads = (From("bus", P_bus="W"), From("battery", soc_before="1", P_battery_max="W", P_battery_min="W"))
+    reads: ClassVar[tuple[From, ...]] = (From("bus", P_bus="W"), From("battery", soc_before="1", P_battery_max="W", P_battery_min="W"))
 
     def start(self) -> Mapping[str, Any]:
         """Return the start values."""

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -58,8 +58,8 @@ class FuelCell(Component):
     family = "fuel-cell"
     p: FuelCellParameters
     dc = Port(Electric, "wheel")
-    states = (State("fuel_used", "kg", "fuel used", shown=True),)
-    variables = (
+    states: ClassVar[tuple[State, ...]] = (State("fuel_used", "kg", "fuel used", shown=True),)
+    variables: ClassVar[tuple[Variable, ...]] = (
         Variable("P_stack", "W", "power asked of the stack"),
         Variable("fuel_flow", "kg/s", "fuel flow"),
         Variable("P_fuel", "W", "power in the fuel", "fuel"),
