@@ -69,12 +69,15 @@ class PortOf:
 
 
 class Port:
-    """Declaration of a port in the body of a component class."""
+    """Declaration of a port in the body of a component class.
+
+    An ``optional`` port may be left open.  At one that ``offers``, the source decides by itself what flows, and is not asked.
+    """
 
     name: str
 
-    def __init__(self, kind: Kind, side: Side, *, optional: bool = False) -> None:
-        self.kind, self.side, self.optional = kind, side, optional
+    def __init__(self, kind: Kind, side: Side, *, optional: bool = False, offers: bool = False) -> None:
+        self.kind, self.side, self.optional, self.offers = kind, side, optional, offers
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name

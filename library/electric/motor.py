@@ -26,7 +26,7 @@ import casadi as ca
 from halfshaft.library.base.component import From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
-from halfshaft.library.base.links import Link, TwoSided, inertia, limit
+from halfshaft.library.base.links import Link, TwoSided, continuous, inertia, limit
 from halfshaft.library.base.parameters import Parameters, Relation, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
@@ -175,9 +175,9 @@ class Motor(TwoSided, Machine):
         """Return the electric power that the motion needs, in continuous time; backward the machine is its own mirror image."""
         facing = where(shaft.omega < 0, -1, 1)
         mirrored = Shaft(*(facing * x for x in shaft))
-        power, booked = self.continuous(mirrored, self.chain(0, 0, 0, 0, turning))
+        power, booked = continuous(self.chain(0, 0, 0, 0, turning), mirrored)
         tau = shaft.tau + self.p.J * shaft.alpha
-        return {"dc": power, "P_loss": booked["loss"], "P_kinetic": booked["kinetic"], "_tau": tau, "_omega": shaft.omega, "_P": power.P}
+        return {"dc": power, "P_loss": booked.loss, "P_kinetic": booked.kinetic, "_tau": tau, "_omega": shaft.omega, "_P": power.P}
 
     @plant("balance")
     def drive(

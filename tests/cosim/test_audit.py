@@ -16,7 +16,6 @@ from halfshaft.library.base.ports import Shaft
 from halfshaft.library.chassis.body import Body
 from halfshaft.library.chassis.wheel import Wheel
 from halfshaft.library.electric.battery import Battery
-from halfshaft.library.electric.bus import Bus
 from halfshaft.library.electric.generator import Generator
 from halfshaft.library.electric.motor import Motor
 from halfshaft.library.engine.engine import Engine
@@ -94,7 +93,6 @@ SLIPS = [
     (Battery, "rates", "P_loss", ELECTRIC, "R I^2"),
     (Battery, "rates", "charge_drawn", ELECTRIC, "charge"),
     (Battery, "rates", "P_stored", ELECTRIC, "store"),
-    (Bus, "available", "load", ELECTRIC, "sum"),
     (Generator, "available", "dc", SERIES, "map"),
     (Generator, "available", "P_loss", SERIES, "loss"),
     (Engine, "available", "P_fuel", SERIES, "fuel map"),
