@@ -38,7 +38,7 @@ def print_list(what: str, kind: str | None = None) -> None:
 
 def _vehicle_rows() -> Rows:
     vehicles = [Vehicle.load(name) for name in vehicle_names()]
-    return ["vehicle", "powertrain", "mass \\[kg]", "title"], [[v.name, v.powertrain, f"{v.values['body.m']:g}", v.title] for v in vehicles]
+    return ["vehicle", "powertrain", "mass \\[kg]", "title"], [[v.name, v.powertrain, f"{v.mass:g}", v.title] for v in vehicles]
 
 
 def _component_rows(kind: str | None) -> Rows:

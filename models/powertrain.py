@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources.abc import Traversable
 from types import ModuleType
+from typing import Any
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.files.catalog import component_kinds, data_files, modules, packages
 from halfshaft.models.model import Model
-from halfshaft.models.rules import Rule
+from halfshaft.models.rules import Rule, Sets
 
 #: Names of powertrains and roles.
 NAME = re.compile("[a-z][a-z0-9]*(_[a-z0-9]+)*")
@@ -28,11 +29,13 @@ class Derived:
     """A parameter that may follow from other parts.
 
     ``target`` is ``role.parameter``; ``rules`` are those that can derive it; the first derives it where a vehicle says nothing
-    and the part's file leaves it open.
+    and the part's file leaves it open.  ``of`` gives the roles of the parts that a rule looks at, where they are not called as
+    the rule calls them.
     """
 
     target: str
     rules: tuple[type[Rule], ...]
+    of: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def role(self) -> str:
@@ -43,6 +46,10 @@ class Derived:
     def parameter(self) -> str:
         """The parameter."""
         return self.target.partition(".")[2]
+
+    def value(self, rule: Rule, sets: Sets) -> Any:
+        """Return what a rule derives from the parameters by role."""
+        return rule({name: sets[self.of.get(name, name)] for name in rule.needs})
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def test_every_vehicle_loads_and_fills_all_roles(name):
 @pytest.mark.parametrize("powertrain", powertrains().values(), ids=lambda p: p.name)
 def test_a_powertrain_derives_from_roles_that_it_has(powertrain):
     for d in powertrain.derived:
-        assert {d.role, *(role for rule in d.rules for role in rule.needs)} <= powertrain.roles.keys()
+        assert {d.role, *(d.of.get(name, name) for rule in d.rules for name in rule.needs)} <= powertrain.roles.keys()
     assert all(powertrain.kinds(role) for role in powertrain.roles)
 
 
