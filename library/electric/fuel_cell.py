@@ -39,8 +39,8 @@ CURRENT = Axis("i", "A/m^2")
 class FuelCellParameters(Parameters):
     """Fuel of a fuel cell system."""
 
-    rho_fuel: float = param("kg/m^3", "density of the fuel", ge=0.01, le=1e4)
-    H_fuel: float = param("J/kg", "lower heating value of the fuel", ge=1e5, le=1e9)
+    rho_fuel: float = param("kg/m^3", "density of the fuel", ge=0.01, le=1e4, tag="fuel density")
+    H_fuel: float = param("J/kg", "lower heating value of the fuel", ge=1e5, le=1e9, tag="fuel heating value")
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
 
@@ -57,8 +57,8 @@ class FuelCell(Component):
 
     family = "fuel-cell"
     p: FuelCellParameters
-    dc = Port(Electric, "wheel")
-    states: ClassVar[tuple[State, ...]] = (State("fuel_used", "kg", "fuel used", shown=True),)
+    dc = Port(Electric, "wheel", tags={"P": "generated"})
+    states: ClassVar[tuple[State, ...]] = (State("fuel_used", "kg", "fuel used", shown=True, tag="fuel mass"),)
     variables: ClassVar[tuple[Variable, ...]] = (
         Variable("P_stack", "W", "power asked of the stack"),
         Variable("fuel_flow", "kg/s", "fuel flow"),
