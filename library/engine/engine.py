@@ -27,15 +27,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
+import numpy as np
 
 from halfshaft.library.base.component import Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import kinetic_rate
-from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
 from halfshaft.library.base.ports import Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -64,7 +65,22 @@ class EngineParameters(Parameters):
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
+    rated: ClassVar[tuple[Rated, ...]] = (
+        Rated("P_max", "W", "largest power of the envelope's points", "torque_scale", lambda p: peak_power(p)),
+        Rated("e_max", "1", "best efficiency", "efficiency_scale", lambda p: best_efficiency(p)),
+    )
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.fuel, lambda work, fuel: [(work, fuel)], p.H_fuel), LIFTED),)
+
+
+def peak_power(p: EngineParameters) -> float:
+    """Return the largest power of the envelope's points [W]."""
+    return float((p.tau_max.points[0] * p.tau_max.values).max() * p.torque_scale * p.speed_scale)
+
+
+def best_efficiency(p: EngineParameters) -> float:
+    """Return the best efficiency of the fuel map."""
+    work, P_fuel = np.outer(*p.fuel.points), p.H_fuel * p.fuel.values
+    return float(p.efficiency_scale * np.max(np.divide(work, P_fuel, out=np.zeros_like(work), where=P_fuel > 0)))
 
 
 @dataclass(frozen=True)
