@@ -170,13 +170,14 @@ class Engine(Component):
         """Return the torque that the engine gives, equations (1) to (3), and the fuel that it burns, equation (4)."""
         omega, closed, highest = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
         J_dt, change = self.p.J * (1 / dt), omega - omega_own
-        # A genset that only spins turns its generator's rotor too.
-        asked = shaft.tau + where(clutch_open, J_shaft * (1 / dt) * change, 0)
+        # A genset turns its generator's rotor too: with that alone while it only spins, with no less than that while it gives.
+        rotor = J_shaft * (1 / dt) * change
+        asked = where(geared, shaft.tau, where(clutch_open, shaft.tau + rotor, ca.fmax(shaft.tau, rotor)))
         # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
         gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
         J_alpha = J_dt * where(geared, gain, change)
         needed = asked + J_alpha
-        share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, J_shaft * (1 / dt) * change))
+        share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, rotor))
         tau = where(clutch_open, asked, where(needed > highest, share, ca.fmax(asked, closed - J_alpha)))
         spinning_down = ca.logic_and(clutch_open, omega > omega_command + 1e-9)
         tau_map = clip(where(spinning_down, closed, asked + J_dt * change), closed, highest)

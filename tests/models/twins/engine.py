@@ -72,10 +72,10 @@ class Engine:
             w = min(self.spun(w_c, 0.0, dt), self.w_top)
         highest, closed, rate = self.T_max(w), self.T_closed(w), (w - self.own) / dt
         T_rotor, T_J = self.J_shaft * rate, self.J * rate
+        # It turns the generator's rotor along: with that alone while it spins, shut where it is too fast, else with that at least.
+        T_req = max(T_req, T_rotor) if ready else T_rotor
         if not ready:
-            # It turns the generator's rotor along; slower than it is, it is shut.
-            T = T_rotor
-            T_map = closed if w > w_c + 1e-9 else T_rotor + T_J
+            T, T_map = T_req, closed if w > w_c + 1e-9 else T_req + T_J
         elif T_req + T_J > highest:
             T, T_map = max(highest - T_J, T_rotor), highest
         else:
