@@ -168,7 +168,9 @@ class Engine(Component):
         J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equations (1) to (3), and the fuel that it burns, equation (4)."""
-        omega, closed, highest = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
+        omega, closed, open_throttle = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
+        # An engine that is off drives nothing.
+        highest = where(engine_on, open_throttle, 0)
         J_dt, change = self.p.J * (1 / dt), omega - omega_own
         # A genset turns its generator's rotor too: with that alone while it only spins, with no less than that while it gives.
         rotor = J_shaft * (1 / dt) * change
@@ -191,7 +193,7 @@ class Engine(Component):
         kinetic = J_dt / 2 * (own**2 - omega_own**2)
         return {
             "shaft": Shaft(tau, omega_shaft, shaft.alpha),
-            "throttle_engine": (tau_map - closed) / (highest - closed),
+            "throttle_engine": (tau_map - closed) / (open_throttle - closed),
             "tau_map": tau_map,
             "speed_limited": ca.logic_and(turned, shaft.omega > self.omega_max * (1 - 1e-9)),
             "fuel_flow": flow,

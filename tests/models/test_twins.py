@@ -53,7 +53,7 @@ MAPPED = {
 ELECTRIC = {
     "half the pack": {"battery.soc_start": 0.9, "battery.capacity_scale": 0.5},
     "empty": {"battery.soc_start": 0.02, "battery.capacity_scale": 0.3, "accessories.P_on": 2500.0, "accessories.eta": 0.8},
-    "full": {"battery.soc_start": 1.0, "battery.capacity_scale": 3.0},
+    "full": {"battery.soc_start": 1.0, "battery.capacity_scale": 100.0},
     "charged at low voltage": {"battery.soc_start": 0.9, "battery.u_max": 13.0},
     "down to half its voltage": {"battery.soc_start": 0.9, "battery.capacity_scale": 0.15, "battery.u_min": 1.0, "motor.U_min": 0.0},
     "little current": {"motor.I_max": 80.0, "motor.U_min": 290.0},
@@ -214,6 +214,11 @@ def test_compiled_step_is_the_vehicle_by_hand(car_of, car):
             np.testing.assert_allclose(
                 by_hand[column] / scale, compiled[column] / scale, rtol=0, atol=1e-9 / dt, err_msg=f"{column}, {name}"
             )
+
+
+def test_a_conventional_car_without_its_key_does_not_move():
+    off = Cycle(name="off", time=[0, 5, 20, 40], speed=[0, 0, 15, 15], key_on=[0, 0, 0, 0])
+    assert not np.any(run(Vehicle.load("small-car-conventional"), off)["body.v"])
 
 
 def test_a_heavy_generator_gets_its_torque_from_the_engine(car_of):
