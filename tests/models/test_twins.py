@@ -53,7 +53,9 @@ MAPPED = {
 ELECTRIC = {
     "half the pack": {"battery.soc_start": 0.9, "battery.capacity_scale": 0.5},
     "empty": {"battery.soc_start": 0.02, "battery.capacity_scale": 0.3, "accessories.P_on": 2500.0, "accessories.eta": 0.8},
-    "full": {"battery.soc_start": 1.0, "battery.u_max": 13.0},
+    "full": {"battery.soc_start": 1.0, "battery.capacity_scale": 100.0, "body.m": 1144.0},
+    "charged at low voltage": {"battery.soc_start": 0.9, "battery.u_max": 13.0},
+    "down to half its voltage": {"battery.soc_start": 0.9, "battery.capacity_scale": 0.15, "battery.u_min": 1.0, "motor.U_min": 0.0},
     "little current": {"motor.I_max": 80.0, "motor.U_min": 290.0},
     "few modules": {"battery.n_modules": 18.0, "battery.u_min": 11.2, "battery.soc_start": 0.5},
     "hot": {
@@ -79,6 +81,10 @@ SERIES = {
         "control.soc_high": 0.65, "control.soc_low": 0.55, "control.t_off_min": 5.0, "control.P_min_share": 0.05,
     },
     "no room": {"control.on_start": 1.0, "battery.soc_start": 0.79, "battery.u_max": 13.2, "control.P_min_share": 0.2},
+    "heavy generator at low power": {
+        "control.on_start": 1.0, "control.P_min_share": 0.12, "control.P_max_share": 0.3, "control.P_rise": 1e5, "control.P_fall": 1e5,
+        "engine.J": 0.03, "generator.J": 1.5,
+    },
     "scaled genset": {
         "control.on_start": 1.0, "engine.J": 0.6, "generator.J": 0.4, "engine.speed_scale": 0.8, "engine.torque_scale": 1.2,
         "engine.efficiency_scale": 0.9, "generator.speed_scale": 0.9, "generator.omega_max": 250.0, "generator.overtorque": 0.5,
@@ -108,6 +114,40 @@ WEAK = {
         "wheel.F_brake_front_max": 1500.0, "wheel.F_brake_rear_max": 300.0, "motor.I_max": 120.0,
     },
 }  # fmt: skip
+#: Shares of a braking force that come to more than 1, and a driveline that takes all of it.
+ODD_WHEELS = """schema = 1
+kind = "wheel"
+name = "odd-wheels"
+title = "Wheels whose brake shares overlap"
+source = "made up for this test"
+
+[parameters]
+r = "0.3 m"
+J = "2 kg m^2"
+f_0 = 0.01
+mu_max = 0.9
+
+[parameters.slip]
+adhesion = [0, 0.4, 0.9]
+values = [0, 0.03, 0.12]
+
+[parameters.tau_bearing]
+m = {unit = "kg", values = [0, 2000]}
+values = {unit = "N m", values = [2, 7]}
+
+[parameters.share_driveline]
+v = {unit = "m/s", values = [0, 4, 15, 18]}
+values = [0, 0.6, 0.8, 1]
+
+[parameters.share_front]
+v = {unit = "m/s", values = [0, 4, 15, 18]}
+values = [0.7, 0.6, 0.3, 0]
+"""
+OVERLAPPING = {
+    "front-driven": {},
+    "rear-driven": {"wheel.front_driven": 0.0, "wheel.rear_driven": 1.0},
+    "all-wheel-driven": {"wheel.rear_driven": 1.0, "motor.I_max": 60.0},
+}
 SHIFTING = {
     "shifts": {},
     "shifts slowly": {"shift.t_shift": 0.4, "gearbox.speed_scale": 0.8, "gearbox.torque_scale": 1.3, "gearbox.J": 0.02},
@@ -121,6 +161,7 @@ FLEET = [
     ("small-car-electric", {}, CHASSIS | MAPPED | ELECTRIC),
     ("small-car-electric", {"gearbox": "five-speed-polynomial", "shift": "shift-conventional"}, SHIFTING),
     ("small-car-electric", {"battery": "nizn-22ah"}, COLD),
+    ("small-car-electric", {"wheel": "odd-wheels"}, OVERLAPPING),
     (
         "small-car-conventional",
         {},
@@ -138,9 +179,18 @@ CARS = {
 }
 
 
-def car_of(name):
-    vehicle, parts, values = CARS[name]
-    return Vehicle.load(vehicle).with_parts(parts).with_values(values)
+@pytest.fixture(scope="module")
+def car_of(tmp_path_factory):
+    """Return the vehicle of a name."""
+    odd = tmp_path_factory.mktemp("parts") / "odd-wheels.toml"
+    odd.write_text(ODD_WHEELS, encoding="utf-8")
+
+    def car_of(name):
+        vehicle, parts, values = CARS[name]
+        parts = {role: odd if part == odd.stem else part for role, part in parts.items()}
+        return Vehicle.load(vehicle).with_parts(parts).with_values(values)
+
+    return car_of
 
 
 def both(vehicle, cycle, dt):
@@ -155,7 +205,7 @@ def both(vehicle, cycle, dt):
 
 
 @pytest.mark.parametrize("car", CARS)
-def test_compiled_step_is_the_vehicle_by_hand(car):
+def test_compiled_step_is_the_vehicle_by_hand(car_of, car):
     vehicle = car_of(car)
     for name, (cycle, dt) in RUNS.items():
         by_hand, compiled, scales = both(vehicle, cycle, dt)
@@ -164,6 +214,17 @@ def test_compiled_step_is_the_vehicle_by_hand(car):
             np.testing.assert_allclose(
                 by_hand[column] / scale, compiled[column] / scale, rtol=0, atol=1e-9 / dt, err_msg=f"{column}, {name}"
             )
+
+
+def test_a_conventional_car_without_its_key_does_not_move():
+    off = Cycle(name="off", time=[0, 5, 20, 40], speed=[0, 0, 15, 15], key_on=[0, 0, 0, 0])
+    assert not np.any(run(Vehicle.load("small-car-conventional"), off)["body.v"])
+
+
+def test_a_heavy_generator_gets_its_torque_from_the_engine(car_of):
+    result = run(car_of("small-car-series: heavy generator at low power"), US06)
+    assert not result.audit.failures
+    assert result["generator.P_loss"].min() > -1e-6
 
 
 #: The cycle sets the first, the others are for reports only.
@@ -180,7 +241,7 @@ def other_value(vehicle, name):
 
 
 @pytest.mark.parametrize("powertrain", TWINS)
-def test_every_parameter_moves_what_is_compared(powertrain):
+def test_every_parameter_moves_what_is_compared(car_of, powertrain):
     cars = [(car_of(car), set(values)) for car, (_, _, values) in CARS.items()]
     cars = [(vehicle, values or set(vehicle.values)) for vehicle, values in cars if vehicle.powertrain == powertrain]
     still = {name for _, names in cars for name in names} - WITHOUT_EFFECT

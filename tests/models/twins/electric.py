@@ -109,7 +109,9 @@ class Battery:
         p, N = self.p, self.p.n_modules
         U_oc, R = self.U_oc(self.T, self.soc), self.R_out(self.T, self.soc) if P_asked >= 0 else self.R_in(self.T, self.soc)
         P = 0.0 if self.soc >= 0.999 and P_asked < 0 else min(P_asked, self.P_max)
-        I = max((U_oc - math.sqrt(max(U_oc**2 - 4 * R * P, 0.0))) / (2 * R), self.I_min)  # noqa: E741
+        # At half of U_oc, where the power is largest, rounding would decide on the root; the step keeps it above 1e-6 U_oc.
+        root = math.sqrt(max(U_oc**2 - 4 * R * P, 1e-12 * U_oc**2))
+        I = max(2 * P / (U_oc + root), self.I_min)  # noqa: E741
         self.U = U_oc - R * I
         eta = 1.0 if I >= 0 else self.eta(self.T)
         P_given, stored = self.U * I, U_oc * eta * I

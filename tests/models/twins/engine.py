@@ -52,7 +52,7 @@ class Engine:
 
     def geared(self, T_req, w_shaft, on, clutch_open, clutch_slips, road, dt):
         """Return the torque that is available behind a clutch, and the speed."""
-        w, highest, closed = self.w, self.T_max(self.w), self.T_closed(self.w)
+        w, highest, closed = self.w, self.T_max(self.w) if on else 0.0, self.T_closed(self.w)
         # What the vehicle's gain of speed asks of the rotor; load and rotor get the same share where it is too much.
         T_J = 0.0 if clutch_slips else self.J * 2 * w_shaft * (road.v_lim - road.v) / max(road.v_lim, 1e-9) / dt
         T = T_req * highest / (T_req + T_J) if T_req + T_J > highest else max(T_req, closed - T_J)
@@ -70,12 +70,12 @@ class Engine:
             self.free = w
         else:
             w = min(self.spun(w_c, 0.0, dt), self.w_top)
-        highest, closed, rate = self.T_max(w), self.T_closed(w), (w - self.own) / dt
+        highest, closed, rate = self.T_max(w) if on else 0.0, self.T_closed(w), (w - self.own) / dt
         T_rotor, T_J = self.J_shaft * rate, self.J * rate
+        # It turns the generator's rotor along: with that alone while it spins, shut where it is too fast, else with that at least.
+        T_req = max(T_req, T_rotor) if ready else T_rotor
         if not ready:
-            # It turns the generator's rotor along; slower than it is, it is shut.
-            T = T_rotor
-            T_map = closed if w > w_c + 1e-9 else T_rotor + T_J
+            T, T_map = T_req, closed if w > w_c + 1e-9 else T_req + T_J
         elif T_req + T_J > highest:
             T, T_map = max(highest - T_J, T_rotor), highest
         else:
