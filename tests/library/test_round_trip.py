@@ -345,7 +345,10 @@ CASES |= {
     "battery-at-its-largest-power": lambda: store_case("nimh-93ah", 28, u_min=0.0),
 }
 CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 30 + i) for i, n in enumerate(component_names("body"))}
-CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(component_names("wheel"))}
+WHEELS = [*component_names("wheel"), *component_names("wheel-j2452")]
+CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(WHEELS)}
+CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 46 + i, m=1500.0, F_1=1.5) for i, n in enumerate(component_names("coast-down-body"))}
+CASES |= {"wheels-under-a-body-by-its-road-load": lambda: wheel_case("suv-wheels-j2452", "small-car-coast-down", 48)}
 STORES = [name for kind in ("battery", "battery-rc", "ultracapacitor") for name in component_names(kind)]
 CASES |= {f"battery-{n}": lambda n=n, i=i: store_case(n, 50 + i) for i, n in enumerate(STORES)}
 
