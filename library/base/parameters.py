@@ -152,7 +152,7 @@ class Parameters:
     @property
     def weight(self) -> float:
         """Mass of the part [kg]: that of its figures times its factors on size; 0 for what is weighed with the vehicle."""
-        size = math.prod(float(getattr(self, name, 1.0)) for name in ("torque_scale", "speed_scale"))
+        size = math.prod(float(getattr(self, name, 1.0)) for name in ("torque_scale", "speed_scale", "power_scale"))
         return float(getattr(self, "mass", 0.0)) * size
 
     def rescaled(self, typed: Mapping[str, float]) -> Parameters:
