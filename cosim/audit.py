@@ -170,18 +170,20 @@ class Auditor:
         requests = np.column_stack([self._slope(before, rows) if samples.grade_by_distance else samples.grade, samples.key_on, dt])
         residuals = np.asarray(self._run(rows.T, before.T, requests.T, parameters)).T
         missed = before[:, places["body.trace_miss"]] > 0
-        checks = []
+        checks, excused = [], dict[str, Any]()
         for i, (part, law, assumed) in enumerate(self._laws):
             scale = float(np.abs(rows[:, self._powers[part]]).max(initial=0.0))
             limited = missed & assumed
             for required, available in self._limits[part] if assumed else ():
                 limited |= rows[:, required] != rows[:, available]
+            excused[part] = excused.get(part, False) | limited
             free = np.where(limited, 0.0, residuals[:, i])
             k = int(np.argmax(np.abs(free)))
             checks.append(Check(part, law, float(free[k]), float(t[k]), scale, float(dt @ np.where(limited, residuals[:, i], 0.0))))
         negative = []
         for name in (d.name for d in self._step.outputs if d.booking == "loss"):
-            loss = rows[:, places[name]]
+            # Where something else comes than was asked for, the slip, or an efficiency, is still that of the request.
+            loss = np.where(excused.get(name.partition(".")[0], False), 0.0, rows[:, places[name]])
             below = loss < -max(SHARE * np.abs(loss).max(initial=0.0), WATTS)
             if below.any():
                 k = int(np.argmin(loss))

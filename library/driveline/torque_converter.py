@@ -140,7 +140,8 @@ class TorqueConverter(TwoSided):
         return self._speed(self.p.pump_by_pump, tau / self.stall_capacity, omega)
 
     def _speed(self, q: Table, square: Expr, omega: Expr) -> Expr:
-        Q = ca.sqrt(omega**2 + ca.fabs(square) + OMEGA_FLOOR**2)
+        # By cases, as the derivative of a size is zero at zero.
+        Q = ca.sqrt(omega**2 + where(square >= 0, square, -square) + OMEGA_FLOOR**2)
         return Q * q(where(square >= 0, omega / Q, 2 - omega / Q))
 
     def torques(self, omega_pump: Expr, omega: Expr) -> tuple[Expr, Expr]:
