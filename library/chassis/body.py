@@ -57,18 +57,19 @@ class Resistance(NamedTuple):
 class BodyParameters(Parameters):
     """Mass, shape and geometry of the vehicle."""
 
-    m: float = param("kg", "test mass", ge=10, le=1e6)
+    m: float = param("kg", "test mass", ge=10, le=1e6, tag="vehicle mass")
     c_d: float = param("1", "drag coefficient", ge=0, le=10)
     A: float = param("m^2", "frontal area", ge=0, le=100)
     rho: float = param("kg/m^3", "air density", 1.2, ge=0, le=10)
-    g: float = param("m/s^2", "gravity", 9.81, ge=0.1, le=100)
+    g: float = param("m/s^2", "gravity", 9.81, ge=0.1, le=100, tag="gravity")
     front_share: float = param("1", "share of the weight on the front axle at rest", 0.6, ge=0, le=1)
     h: float = param("m", "height of the centre of gravity", 0.5, ge=0, le=10)
     wheelbase: float = param("m", "wheelbase", 2.6, ge=0.1, le=100)
     v_miss: float = param(
-        "m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, ge=1e-6, le=1e3
-    )
-    v_start: float = param("m/s", "speed at the start", 0.0, ge=0, le=1e3)
+        "m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, ge=1e-6, le=1e3,
+        tag="miss threshold",
+    )  # fmt: skip
+    v_start: float = param("m/s", "speed at the start", 0.0, ge=0, le=1e3, tag="start speed")
 
     # A body this tall would tip over its wheels before they slip.
     relations = (Relation(lambda p: p.h >= p.wheelbase / 2, "h = {h:g} m must be below half of wheelbase = {wheelbase:g} m"),)
@@ -83,22 +84,22 @@ class Body(Component):
     parameters = BodyParameters
     tyre = Port(Tyre, "source")
     states = (
-        State("v", "m/s", "speed of the vehicle", signal=True, shown=True),
-        State("distance", "m", "distance driven", shown=True),
-        State("elevation", "m", "height above the start", shown=True),
-        State("trace_missed", "1", "whether the previous step missed its request", signal=True, neutral=0.0),
+        State("v", "m/s", "speed of the vehicle", signal=True, shown=True, tag="speed"),
+        State("distance", "m", "distance driven", shown=True, tag="distance"),
+        State("elevation", "m", "height above the start", shown=True, tag="elevation"),
+        State("trace_missed", "1", "whether the previous step missed its request", signal=True, neutral=0.0, tag="missed"),
         State("speed_ratio", "1", "end speed over the mean speed that the driveline offered, previous step", signal=True, neutral=1.0),
     )
     variables = (
-        Variable("v_request", "m/s", "requested speed at the end of the step"),
-        Variable("F_required", "N", "force that the request needs, before any limit"),
+        Variable("v_request", "m/s", "requested speed at the end of the step", tag="request"),
+        Variable("F_required", "N", "force that the request needs, before any limit", tag="asked force"),
         Variable("v_mean", "m/s", "mean speed of the step"),
-        Variable("trace_miss", "m/s", "request less achieved speed"),
-        Variable("overspeed", "m/s", "achieved less requested speed"),
-        Variable("P_aero", "W", "power lost to air drag", "loss"),
-        Variable("P_roll", "W", "power lost to rolling resistance", "loss"),
-        Variable("P_climb", "W", "rate of change of potential energy", "potential"),
-        Variable("P_kinetic", "W", "rate of change of the body's kinetic energy", "kinetic"),
+        Variable("trace_miss", "m/s", "request less achieved speed", tag="miss"),
+        Variable("overspeed", "m/s", "achieved less requested speed", tag="overspeed"),
+        Variable("P_aero", "W", "power lost to air drag", "loss", tag="air drag"),
+        Variable("P_roll", "W", "power lost to rolling resistance", "loss", tag="rolling resistance"),
+        Variable("P_climb", "W", "rate of change of potential energy", "potential", tag="vehicle climbing power"),
+        Variable("P_kinetic", "W", "rate of change of the body's kinetic energy", "kinetic", tag="vehicle kinetic power"),
         Variable("P_mismatch", "W", "power offered at the required speed less that at the achieved speed", "mismatch"),
         Variable("P_limit", "W", "power not used because a speed limit or standstill acts", "limit"),
         Variable("a_request", "m/s^2", "requested acceleration", signal=True),

@@ -49,7 +49,7 @@ class Generator(Component):
     kind = "generator"
     p: GeneratorParameters
     parameters = GeneratorParameters
-    dc = Port(Electric, "wheel")
+    dc = Port(Electric, "wheel", tags={"P": "generated"})
     shaft = Port(Shaft, "source")
     states = (State("omega_before", "rad/s", "speed of the previous step", neutral=0.0),)
     variables = (

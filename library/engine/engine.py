@@ -57,8 +57,8 @@ class EngineParameters(Parameters):
     tau_max: Table = table("N.m", "largest torque", SPEED, clip=True)
     tau_closed: Table = table("N.m", "torque with closed throttle, negative", SPEED, clip=True)
     J: float = param("kg.m^2", "inertia", ge=0, le=100)
-    rho_fuel: float = param("kg/m^3", "density of the fuel", ge=0.01, le=1e4)
-    H_fuel: float = param("J/kg", "lower heating value of the fuel", ge=1e5, le=1e9)
+    rho_fuel: float = param("kg/m^3", "density of the fuel", ge=0.01, le=1e4, tag="fuel density")
+    H_fuel: float = param("J/kg", "lower heating value of the fuel", ge=1e5, le=1e9, tag="fuel heating value")
     speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100)
     torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
@@ -80,13 +80,13 @@ class Engine(Component, Machine):
         State("omega_free", "rad/s", "speed of the free engine, idling control left out"),
         State("command_before", "rad/s", "commanded speed of the previous step"),
         State("ratio_before", "1", "ratio of the gear in the previous step"),
-        State("fuel_used", "kg", "fuel burnt", shown=True),
+        State("fuel_used", "kg", "fuel burnt", shown=True, tag="fuel mass"),
     )
     variables = (
-        Variable("omega_engine", "rad/s", "speed of the engine", signal=True),
+        Variable("omega_engine", "rad/s", "speed of the engine", signal=True, tag="engine speed"),
         Variable("throttle_engine", "1", "that torque between closed and open throttle", signal=True),
-        Variable("tau_map", "N.m", "torque in the fuel map (eq. 2)"),
-        Variable("speed_limited", "1", "whether its top speed holds the vehicle", kind="flag"),
+        Variable("tau_map", "N.m", "torque in the fuel map (eq. 2)", tag="engine torque"),
+        Variable("speed_limited", "1", "whether its top speed holds the vehicle", kind="flag", warning="{part} at its top speed"),
         Variable("fuel_flow", "kg/s", "fuel flow (eq. 4)"),
         Variable("P_fuel", "W", "power in the fuel", "fuel"),
         Variable("P_loss", "W", "power lost", "loss"),
@@ -94,7 +94,10 @@ class Engine(Component, Machine):
         Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
         Variable("P_mismatch", "W", "power at the engine's own speed less that at the shaft", "mismatch"),
     )
-    plant_states = ((State("omega_engine", "rad/s", "speed of the engine", signal=True), "omega_own"), (states[4], "fuel_used"))
+    plant_states = (
+        (State("omega_engine", "rad/s", "speed of the engine", signal=True, tag="engine speed"), "omega_own"),
+        (states[4], "fuel_used"),
+    )
     reads = (
         From("control", omega_command="rad/s", engine_on="1", omega_idle="rad/s", clutch_open="1"),
         From("control", optional=True, clutch_slipping="1"),
