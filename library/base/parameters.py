@@ -12,6 +12,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -205,10 +206,13 @@ def numbers(p: Parameters) -> Iterator[tuple[str, Spec, float]]:
 
 
 def tables(p: Parameters) -> Iterator[tuple[str, Table]]:
-    """Yield name and value of every table."""
+    """Yield name and value of every table, also of those that follow from others: the cached properties of a set."""
     for f in fields(p):
         if spec_of(f).axes:
             yield f.name, getattr(p, f.name)
+    for name, followed in vars(type(p)).items():
+        if isinstance(followed, cached_property):
+            yield name, getattr(p, name)
 
 
 def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> Parameters:
@@ -222,6 +226,7 @@ def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> P
             values[f.name] = tuple(symbols[f"{f.name}_{i}"] for i in range(1, len(getattr(p, f.name)) + 1))
         else:
             values[f.name] = symbols[f.name]
+    values |= {name: functions[name] for name, _ in tables(p) if name not in values}
     bound = object.__new__(type(p))
     for name, value in values.items():
         object.__setattr__(bound, name, value)
