@@ -118,6 +118,7 @@ class Motor(TwoSided, Machine):
         From("shift", optional=True, shifting="1"),
         From("battery", U="V", P_room_out="W", P_room_in="W"),
         From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
+        From("node", optional=True, along=("dc",), forgiven="1"),
     )
     estimates = True
 
@@ -221,7 +222,7 @@ class Motor(TwoSided, Machine):
     @plant("balance")
     def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
-        tau_grip_out: Expr, tau_grip_in: Expr,
+        tau_grip_out: Expr, tau_grip_in: Expr, forgiven: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 
@@ -234,6 +235,8 @@ class Motor(TwoSided, Machine):
         scale = ca.fmax(ca.fabs(_omega), 10)
         P_max = self.p.I_max * U
         # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
-        more = ca.fmax(ca.fmin(ca.fmin(P_room_out, P_max - _P) / scale, tau_grip_out), -_tau)
-        less = ca.fmin(-ca.fmin(ca.fmin(P_room_in, P_max + _P) / scale, tau_grip_in), -_tau)
+        # Where several machines meet the limit of one store, all balances would be the same; each forgives it a share of what it lacks.
+        out, into = P_room_out + forgiven * scale * (tau - _tau), P_room_in + forgiven * scale * (_tau - tau)
+        more = ca.fmax(ca.fmin(ca.fmin(out, P_max - _P) / scale, tau_grip_out), -_tau)
+        less = ca.fmin(-ca.fmin(ca.fmin(into, P_max + _P) / scale, tau_grip_in), -_tau)
         return {"balance": ca.fmax(ca.fmin(tau - _tau, more), less)}

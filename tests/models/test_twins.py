@@ -207,7 +207,10 @@ def both(vehicle, cycle, dt):
 @pytest.mark.parametrize("car", CARS)
 def test_compiled_step_is_the_vehicle_by_hand(car_of, car):
     vehicle = car_of(car)
+    # US06 brings nothing that UDDS and the limits do not; the cars as they are run it, to keep the tests fast.
     for name, (cycle, dt) in RUNS.items():
+        if name == "us06" and CARS[car][2]:
+            continue
         by_hand, compiled, scales = both(vehicle, cycle, dt)
         for column, scale in scales.items():
             # Operations in another order, fed back through the achieved speed, whose error a force takes over the step's length.
@@ -240,17 +243,22 @@ def other_value(vehicle, name):
         return vehicle.with_values({name: 0.8 * x})
 
 
+def moved(first, second):
+    """Return the largest difference of an output, as a share of its largest value."""
+    a, b = first.history, second.history
+    return np.max(np.abs(a - b).max(axis=0) / np.maximum(np.abs(a).max(axis=0), 1e-12))
+
+
 @pytest.mark.parametrize("powertrain", TWINS)
 def test_every_parameter_moves_what_is_compared(car_of, powertrain):
     cars = [(car_of(car), set(values)) for car, (_, _, values) in CARS.items()]
     cars = [(vehicle, values or set(vehicle.values)) for vehicle, values in cars if vehicle.powertrain == powertrain]
     still = {name for _, names in cars for name in names} - WITHOUT_EFFECT
     for vehicle, names in cars:
-        for cycle in (LIMITS, US06):
-            first = run(vehicle, cycle)
-            for name in still & names:
-                second = run(other_value(vehicle, name), cycle)
-                # Far above what the comparison lets pass.
-                if any(np.abs(first[d.name] - second[d.name]).max() > 1e-6 * np.abs(first[d.name]).max() for d in first.outputs):
-                    still.discard(name)
+        firsts = {cycle: run(vehicle, cycle) for cycle in (LIMITS, US06)}
+        for name in still & names:
+            other = other_value(vehicle, name)
+            # Far above what the comparison lets pass.
+            if any(moved(first, run(other, cycle)) > 1e-6 for cycle, first in firsts.items()):
+                still.discard(name)
     assert not still
