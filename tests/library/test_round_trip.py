@@ -311,7 +311,7 @@ SCALED_MOTOR = {"speed_scale": 0.8, "torque_scale": 1.3, "efficiency_scale": 0.9
 def two_sided_cases(kind):
     """Yield cases of all components of a two-sided kind, by name."""
     for seed, name in enumerate(component_names(kind)):
-        if kind == "motor":
+        if kind in ("motor", "motor-thermal"):
             yield name, lambda n=name, s=seed: motor_case(component(n), s)
         elif kind.startswith("gearbox"):
             for gear in {1, len(component(name).p.ratios)}:
