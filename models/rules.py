@@ -60,5 +60,19 @@ class GensetLocus(Rule):
         return _locus(cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"]))
 
 
+@dataclass(frozen=True, kw_only=True)
+class TogetherAtTop(Rule):
+    """The ratio of a torque coupler at which the motor turns at a share of its top speed when the engine is at its own."""
+
+    name = "together-at-top"
+    needs = ("motor", "engine")
+    share: float = param("1", "share of the motor's top speed", 0.99, ge=0.01, le=1)
+
+    def __call__(self, sets: Sets) -> float:
+        """Return the ratio of the motor's speed to the engine's."""
+        motor, engine = cast(MotorParameters, sets["motor"]), cast(EngineParameters, sets["engine"])
+        return self.share * motor.omega_max * motor.speed_scale / (engine.tau_max.inside(0)[1] * engine.speed_scale)
+
+
 # The locus takes longer than all else here, and most changes leave engine and generator alone.
 _locus = lru_cache(maxsize=16)(genset_locus)
