@@ -15,10 +15,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from halfshaft.library.base.component import Signal, face
+from halfshaft.library.base.component import Signal, face, plant
 from halfshaft.library.base.expressions import Turning
 from halfshaft.library.base.junction import Junction, shared_speed
-from halfshaft.library.base.links import Link, drag
+from halfshaft.library.base.links import Link, continuous, drag
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Expr, Port, Shaft
 
@@ -41,7 +41,10 @@ class TorqueCoupler(Junction):
     output = Port(Shaft, "wheel")
     engine = Port(Shaft, "source")
     motor = Port(Shaft, "source")
-    signals = (Signal("n_motor", "1", "ratio of the motor's speed to that of the shaft"),)
+    signals = (
+        Signal("n_motor", "1", "ratio of the motor's speed to that of the shaft"),
+        Signal("tau_beside", "N.m", "torque that comes to the shaft from the motor"),
+    )
 
     @face("n_motor")
     def law(self) -> Mapping[str, Any]:
@@ -51,6 +54,11 @@ class TorqueCoupler(Junction):
     def chain(self, turning: Turning) -> tuple[Link, ...]:  # type: ignore[override]
         """Return the drag."""
         return (drag(lambda shaft: self.p.tau_loss * turning(shaft.omega)),)
+
+    @plant("tau_beside")
+    def beside(self, output: Shaft, tau_engine: Expr, turning: Turning) -> Mapping[str, Any]:
+        """Publish what the motor gives in continuous time, which gives way before the engine where the tyres slip."""
+        return {"tau_beside": continuous(self.chain(turning), output)[0].tau - tau_engine}
 
     def motor_speed(self, output: Shaft, engine: Shaft) -> Expr:
         """Return equation (2)."""
