@@ -169,7 +169,7 @@ class Auditor:
         before = np.vstack([first, rows[:-1]])
         requests = np.column_stack([self._slope(before, rows) if samples.grade_by_distance else samples.grade, samples.key_on, dt])
         residuals = np.asarray(self._run(rows.T, before.T, requests.T, parameters)).T
-        missed = before[:, places["body.trace_miss"]] > 0
+        missed = before[:, places[self._step.tags.the("miss")]] > 0
         checks = []
         for i, (part, law, assumed) in enumerate(self._laws):
             scale = float(np.abs(rows[:, self._powers[part]]).max(initial=0.0))
@@ -190,6 +190,6 @@ class Auditor:
 
     def _slope(self, before: Array, rows: Array) -> Array:
         """Return the grade on which the vehicle moved, from its states; where it stands, none."""
-        i, j = (self._step.output_index[name] for name in ("body.distance", "body.elevation"))
+        i, j = (self._step.output_index[self._step.tags.the(tag)] for tag in ("distance", "elevation"))
         moved, climbed = rows[:, i] - before[:, i], rows[:, j] - before[:, j]
         return np.divide(climbed, np.sqrt(np.maximum(moved**2 - climbed**2, 1e-300)), out=np.zeros(len(rows)), where=moved > 0)
