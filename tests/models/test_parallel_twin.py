@@ -70,5 +70,5 @@ def test_the_step_is_the_car_by_hand(name, car, cycle):
     assert len(by_hand) > 50
     for column, values in by_hand.items():
         # Some ten operations in another order, and memories that feed them on.
-        scale = max(np.abs(result[column]).max(), 1e-3)
+        scale = max(np.abs(result[column]).max(), 1.0 if ".P_" in column else 1e-3)
         np.testing.assert_allclose(values / scale, result[column] / scale, rtol=0, atol=1e-9, err_msg=column)
