@@ -40,8 +40,8 @@ class HybridEngine(Engine):
 class Coupler:
     """The engine's side gives what it gives; the motor is asked for the rest."""
 
-    def __init__(self, p):
-        self.p = p
+    def __init__(self, p, engine_side):
+        self.p, self.engine_side = p, engine_side
 
     def required(self, T, w, alpha):
         self.T_loss = self.p.tau_loss if w > 0 else 0.0
@@ -51,7 +51,7 @@ class Coupler:
     def motor_required(self, T_engine, w_engine):
         n = self.p.n
         self.T_engine, self.w_engine, self.T_motor = T_engine, w_engine, (self.T - T_engine) / n
-        self.seen = {"clutch.tau": T_engine, "motor.tau_required": self.T_motor}
+        self.seen = {f"{self.engine_side}.tau": T_engine, "motor.tau_required": self.T_motor}
         return self.T_motor, n * min(self.w, w_engine), n * self.alpha
 
     def available(self, T_motor, w_motor):
@@ -132,7 +132,7 @@ def parallel(parameters, samples, *, behind_gearbox=False):
     road, final, gearbox = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Gearbox(p["gearbox"])
     engine, belt, ratios = HybridEngine(p["engine"]), MechanicalAccessories(p["mechanical_accessories"]), p["gearbox"].ratios
     motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"]), Bus()
-    battery, coupler = Battery(p["battery"], p["motor"].U_min), Coupler(p["coupler"])
+    battery, coupler = Battery(p["battery"], p["motor"].U_min), Coupler(p["coupler"], "gearbox" if behind_gearbox else "clutch")
     control = ParallelControl(p["control"], engine, motor, p["coupler"].n, samples.v_start)
     engine.own = engine.free = engine.command = control.w_idle
     shift, clutch = ParallelShift(p["shift"], ratios, engine.T_max), Clutch(engine.T_largest, control.w_launch)
@@ -162,5 +162,7 @@ def parallel(parameters, samples, *, behind_gearbox=False):
         if not behind_gearbox:
             T, w = gearbox.available(T, w)
         road.available(*final.available(T, w))
+        if behind_gearbox:
+            final.seen = {}  # It takes its neighbour for the gearbox.
         row = seen(road, final, gearbox, shift, clutch, belt, engine, control, motor, accessories, bus, battery, coupler)
         yield {name.replace("accessories.", "electric_accessories.", name.startswith("acc")): x for name, x in row.items()}

@@ -1,6 +1,7 @@
 """The compiled step of the parallel hybrids against the same cars by hand."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ CARS = {
         "control.v_launch_low": 5.0, "control.v_launch_high": 14.0, "battery.soc_start": 0.64, "control.v_decel": 6.0,
         "motor.torque_scale": 0.4, "coupler.tau_loss": 1.5,
     },
-    "weak motor that must help": {"control.v_launch_low": 9.0, "control.v_launch_high": 30.0, "battery.n_modules": 12.0, "motor.J": 0.05},
+    "weak motor that must help": {"control.v_launch_low": 9.0, "control.v_launch_high": 30.0, "battery.n_modules": 14.0, "motor.J": 0.05},
     "takes time to shift": {"shift.t_shift": 0.3, "shift.t_hold": 2.0, "control.launch_share": 0.4},
     "idles, clutch closed on overrun": {
         "control.omega_idle": 90.0, "control.idle_at_stop": 1.0, "control.open_when_braking": 0.0, "mechanical_accessories.P_on": 700.0,
@@ -56,7 +57,11 @@ BALANCED = {
     "short of charge": {"battery.soc_start": 0.61},
     "rich in charge": {"battery.soc_start": 0.69, "control.load_low": 0.3, "control.load_high": 0.5, "control.load_weight": 0.5},
 }
-VEHICLES = {"small-car-parallel": (parallel, ASSIST), "small-car-parallel-balanced": (parallel, BALANCED)}
+VEHICLES = {
+    "small-car-parallel": (parallel, ASSIST),
+    "small-car-parallel-balanced": (parallel, BALANCED),
+    "small-car-parallel-post": (partial(parallel, behind_gearbox=True), {}),
+}
 CASES = [(name, car) for name, (_, own) in VEHICLES.items() for car in {**CARS, **own}]
 
 
@@ -68,7 +73,9 @@ def test_the_step_is_the_car_by_hand(name, car, cycle):
     result = run(vehicle, trace, dt=dt)
     by_hand = columns(twin(vehicle.parameters, trace.sampled(dt)))
     assert len(by_hand) > 50
+    units = {d.name: d.unit for d in result.outputs}
     for column, values in by_hand.items():
-        # Some ten operations in another order, and memories that feed them on.
-        scale = max(np.abs(result[column]).max(), 1.0 if ".P_" in column else 1e-3)
-        np.testing.assert_allclose(values / scale, result[column] / scale, rtol=0, atol=1e-9, err_msg=column)
+        # What is nothing but rounding is measured by one unit.  Operations in another order are fed back through the achieved speed,
+        # whose error a force takes over the step's length.
+        scale = max(np.abs(result[column]).max(), 1.0 if units[column] in ("W", "N", "N.m", "m/s") else 1e-12)
+        np.testing.assert_allclose(values / scale, result[column] / scale, rtol=0, atol=1e-9 / dt, err_msg=column)
