@@ -117,7 +117,7 @@ class Motor(TwoSided, Machine):
         From("battery", U_supply="V"),
         From("shift", optional=True, shifting="1"),
         From("battery", U="V", P_room_out="W", P_room_in="W"),
-        From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
+        From("wheel", optional=True, tau_grip_out="N.m", tau_grip_in="N.m"),
     )
     estimates = True
 
@@ -221,7 +221,7 @@ class Motor(TwoSided, Machine):
     @plant("balance")
     def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
-        tau_grip_out: Expr, tau_grip_in: Expr,
+        tau_grip_out: Expr = ca.inf, tau_grip_in: Expr = ca.inf,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 

@@ -92,7 +92,7 @@ class Engine(Component, Machine):
     parameters = EngineParameters
     shaft = Port(Shaft, "wheel")
     states = (
-        State("omega_own", "rad/s", "speed that the rotor has reached"),
+        State("omega_own", "rad/s", "speed that the rotor has reached", signal=True),
         State("omega_free", "rad/s", "speed of the free engine, idling control left out"),
         State("command_before", "rad/s", "commanded speed of the previous step"),
         State("ratio_before", "1", "ratio of the gear in the previous step"),
