@@ -110,7 +110,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     dt = _checked(vehicle, cycle, via, dt, mode)
     made = Made(vehicle, cycle, time.time())
     inputs = Inputs(
-        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), vehicle.tags, hashes=Hashes(made)
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made), tags=vehicle.tags,
     )  # fmt: skip
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs, made)

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -184,3 +185,20 @@ def test_the_command_line_sets_mass_and_charge(tmp_path):
         body, battery = ("body", "battery") if car.powertrain == "electric" else ("chassis", "pack")
         expected = run(car.with_values({f"{body}.m": 1500, f"{battery}.soc_start": 0.5}), Cycle.load("us06"))
         assert found["motor_input_J"] == expected.summary["motor_input_J"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("via", ["step", "forward"])
+def test_the_order_of_the_parts_changes_nothing(kind, via, monkeypatch):
+    usual = powertrains()[kind]
+    backward = replace(usual, name="backward", roles=dict(reversed(usual.roles.items())))
+    monkeypatch.setitem(powertrains(), "backward", backward)
+    car = pair(kind)[0]
+    one, other = (run(c, HILL, via=via) for c in (car, replace(car, powertrain="backward", parts=dict(reversed(car.parts.items())))))
+    assert not other.outputs[0].name.startswith("body.")
+    # Sums may be rounded otherwise, and IDAS weighs errors of a state by its place.
+    rel, absolute = (1e-12, 1e-9) if via == "step" else (1e-4, 1e-2)
+    for name, x in one.figures.items():
+        if not name.endswith("_relative"):
+            assert other.figures[name] == (x if x is None or isinstance(x, str) else pytest.approx(x, rel=rel, abs=absolute)), name
+    assert abs(other.account.balance_relative) < (1e-9 if via == "step" else 1e-6)
