@@ -16,7 +16,7 @@ from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import described
 from halfshaft.library.base.tables import Table as Map
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 from halfshaft.library.files.component_file import LARGEST, ComponentFile, component_names, read_component
 from halfshaft.library.files.texts import read_text
 from halfshaft.models.powertrain import powertrains
@@ -113,7 +113,7 @@ def _find(name: str) -> Vehicle | Cycle | ComponentFile:
 
 def _is_component(path: Path) -> bool:
     try:
-        return tomllib.loads(read_text(path, LARGEST)).get("kind") in KINDS
+        return tomllib.loads(read_text(path, LARGEST)).get("kind") in component_kinds()
     except (InputError, ValueError, RecursionError, TypeError):
         return False  # the reader of vehicles says what is wrong
 

@@ -6,12 +6,25 @@ chain of links between its two ports.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 from halfshaft.library.base.component import Assumed, Component, Face, Variable, arguments
 from halfshaft.library.base.expressions import where
 from halfshaft.library.base.ports import Expr, Port, Shaft
+
+
+class Books(NamedTuple):
+    """Powers that the links of a way take [W]: lost, stored in rotors, error of difference quotients, speed mismatch."""
+
+    loss: Expr
+    kinetic: Expr
+    discretisation: Expr
+    mismatch: Expr
+
+
+#: Links with the points asked and sent.
+Way: TypeAlias = tuple[tuple["Link", Any, Any], ...]
 
 
 class Link(NamedTuple):
@@ -82,6 +95,52 @@ def deliver(link: Link, asked: Any, sent: Any, offered: Any) -> Any:
     return delivered._replace(**{delivered._fields[0]: where(offered[0] == sent[0], asked[0], delivered[0])})
 
 
+def kinetic_rate(J: Expr, before: Expr, after: Expr, dt: Expr) -> Expr:
+    """Return the mean rate at which a rotor's kinetic energy changes in a step from one speed to another [W]."""
+    return J * (1 / (2 * dt)) * (after**2 - before**2)
+
+
+def outward(links: Iterable[Link], asked: Any) -> Way:
+    """Return the required way from a load point through links."""
+    way = []
+    for link in links:
+        sent = link.law(asked)
+        way.append((link, asked, sent))
+        asked = sent
+    return tuple(way)
+
+
+def homeward(way: Way, offered: Any, dt: Expr) -> tuple[Any, Books]:
+    """Return what comes back through a way, and the powers that its links take."""
+    loss, kinetic, error, mismatch = 0, 0, 0, 0
+    for link, asked, sent in reversed(way):
+        delivered = deliver(link, asked, sent, offered)
+        taken = offered.P - delivered.P
+        if link.omega is not None:
+            moved = delivered.tau * (link.omega(asked) - delivered.omega)
+            mismatch, taken = mismatch + moved, taken - moved
+        if link.books == "loss":
+            loss += taken
+        elif link.books == "kinetic":
+            J_alpha = sent.tau - asked.tau
+            rate = J_alpha * (asked.omega - asked.alpha * dt / 2)
+            kinetic, error = kinetic + rate, error + taken - rate
+        offered = delivered
+    return offered, Books(loss, kinetic, error, mismatch)
+
+
+def continuous(links: Iterable[Link], point: Any) -> tuple[Any, Books]:
+    """Return the source point and the powers in continuous time: no limits, nothing assumed."""
+    booked: dict[str, Any] = {"loss": 0, "kinetic": 0}
+    for link in links:
+        if not link.limit:
+            sent = link.law(point)
+            if link.books:
+                booked[link.books] += sent.P - point.P
+            point = sent
+    return point, Books(booked["loss"], booked["kinetic"], 0, 0)
+
+
 class TwoSided(Component):
     """A component between two ports, given by a chain of links from the load to the source.
 
@@ -135,34 +194,17 @@ class TwoSided(Component):
 
         def required(**x: Any) -> Mapping[str, Any]:
             asked = x.pop(load.name)
-            way, named = [asked], {}
-            links = self.chain(**x)
-            for link in links:
-                way.append(link.law(way[-1]))
-                if link.name:
-                    fields = {f"{k}_{link.name}": v for k, v in way[-1]._asdict().items()}
-                    named.update({k: v for k, v in fields.items() if k in names})
-            handed = tuple(zip(links, way, way[1:], strict=False))
-            passed = {link.name: (asked, sent) for link, asked, sent in handed if link.name}
-            return {source.name: way[-1], "_way": handed, **named, **self.found(passed)}
+            way = outward(self.chain(**x), asked)
+            named = {}
+            for link, _, sent in way:
+                fields = {f"{k}_{link.name}": v for k, v in sent._asdict().items()} if link.name else {}
+                named.update({k: v for k, v in fields.items() if k in names})
+            passed = {link.name: (asked, sent) for link, asked, sent in way if link.name}
+            return {source.name: way[-1][2] if way else asked, "_way": way, **named, **self.found(passed)}
 
         def available(**x: Any) -> Mapping[str, Any]:
-            offered, loss, kinetic, error, mismatch = x[source.name], 0, 0, 0, 0
-            for link, asked, sent in reversed(x["_way"]):
-                delivered = deliver(link, asked, sent, offered)
-                taken = offered.P - delivered.P
-                if link.omega is not None:
-                    moved = delivered.tau * (link.omega(asked) - delivered.omega)
-                    mismatch, taken = mismatch + moved, taken - moved
-                if link.books == "loss":
-                    loss += taken
-                elif link.books == "kinetic":
-                    J_alpha = sent.tau - asked.tau
-                    rate = J_alpha * (asked.omega - asked.alpha * x["dt"] / 2)
-                    kinetic, error = kinetic + rate, error + taken - rate
-                offered = delivered
-            powers = {"P_loss": loss, "P_kinetic": kinetic, "P_discretisation": error, "P_mismatch": mismatch}
-            return {load.name: offered, **{name: powers[name] for name in booked}}
+            delivered, books = homeward(x["_way"], x[source.name], x["dt"])
+            return {load.name: delivered, **{name: getattr(books, name.removeprefix("P_")) for name in booked}}
 
         memory = tuple(f"next_{s.name}" for s in self.states)
         yield Face("required", (load.name, *takes), optional, (source.name, "_way", *names, *memory), required)
@@ -180,9 +222,9 @@ class TwoSided(Component):
         books = ("P_loss", "P_kinetic") if self.turns() else ("P_loss",)
 
         def flow(**x: Any) -> Mapping[str, Any]:
-            point, booked = self.continuous(x.pop(load.name), self.chain(**x))
-            powers = {"P_loss": booked["loss"], "P_kinetic": booked["kinetic"]}
-            return {source.name: point, **{name: powers[name] for name in books}}
+            asked = x.pop(load.name)
+            point, booked = continuous(self.chain(**x), asked)
+            return {source.name: point, **{name: getattr(booked, name.removeprefix("P_")) for name in books}}
 
         yield Face("flow", (load.name, *takes), optional, (source.name, *books), flow)
 
@@ -198,20 +240,8 @@ class TwoSided(Component):
             inertia_power = sum(x.pop(name) for name in rotor)
             links = self.chain(**x)
             if rotor:
-                per_alpha = self.continuous(point._replace(alpha=1), links)[1]["kinetic"]
+                per_alpha = continuous(links, point._replace(alpha=1))[1].kinetic
                 point = point._replace(alpha=where(per_alpha != 0, inertia_power / where(per_alpha != 0, per_alpha, 1), 0))
-            return {"_audit": {"law": Assumed(came.P - self.continuous(point, links)[0].P)}}
+            return {"_audit": {"law": Assumed(came.P - continuous(links, point)[0].P)}}
 
         yield Face("audit", (load.name, source.name, *rotor, *takes), optional, ("_audit",), audit)
-
-    def continuous(self, load: Any, links: tuple[Link, ...]) -> tuple[Any, dict[str, Any]]:
-        """Return the source point and the booked powers in continuous time: no limits, nothing assumed."""
-        booked: dict[str, Any] = {"loss": 0, "kinetic": 0}
-        point = load
-        for link in links:
-            if not link.limit:
-                sent = link.law(point)
-                if link.books:
-                    booked[link.books] += sent.P - point.P
-                point = sent
-        return point, booked

@@ -73,12 +73,24 @@ class PortOf:
 
 
 class Port:
-    """Declaration of a port in the body of a component class; ``tags`` says of fields what they are."""
+    """Declaration of a port in the body of a component class.
+
+    An ``optional`` port may be left open.  At one that ``offers``, the source decides by itself what flows, and is not asked.
+    ``tags`` says of fields what they are.
+    """
 
     name: str
 
-    def __init__(self, kind: Kind, side: Side, *, optional: bool = False, tags: Mapping[str, Tag] = MappingProxyType({})) -> None:
-        self.kind, self.side, self.optional, self.tags = kind, side, optional, tags
+    def __init__(
+        self,
+        kind: Kind,
+        side: Side,
+        *,
+        optional: bool = False,
+        offers: bool = False,
+        tags: Mapping[str, Tag] = MappingProxyType({}),
+    ) -> None:
+        self.kind, self.side, self.optional, self.offers, self.tags = kind, side, optional, offers, tags
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name

@@ -45,8 +45,12 @@ class Resistance(NamedTuple):
         return self.roll_0 + self.roll_1 * v + self.roll_2 * v**2
 
     def at(self, v: Expr, moving: Expr) -> Expr:
-        """Return the force at a speed [N]."""
+        """Return the force at a speed ahead [N]."""
         return moving * self.roll(v) + self.climb + self.aero * v**2
+
+    def powers(self, v: Expr, moving: Expr, size: Expr) -> dict[str, Expr]:
+        """Return what drag, tyres and slope take at a speed of this size [W]; backward too, the first two oppose the motion."""
+        return {"P_aero": self.aero * size * v * v, "P_roll": moving * self.roll(size) * v, "P_climb": self.climb * v}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,9 +170,7 @@ class Body(Component):
             "next_elevation": elevation + v_mean * dt * grade / ca.sqrt(1 + grade**2),
             "next_trace_missed": v_request - v_end > self.p.v_miss,
             "next_speed_ratio": where(v_driveline > 0, v_end / ca.fmax(v_driveline, 1e-12), 0),
-            "P_aero": drag.aero * v_mean**3,
-            "P_roll": moving * drag.roll(v_mean) * v_mean,
-            "P_climb": drag.climb * v_mean,
+            **drag.powers(v_mean, moving, v_mean),
             "P_kinetic": m * (v_end - v) / dt * v_mean,
             "P_mismatch": tyre.F * (tyre.v - v_mean),
             "P_limit": (tyre.F - F_used) * v_mean,
@@ -193,15 +195,13 @@ class Body(Component):
     def motion(self, v: Expr, a: Expr, grade: Expr, wheel: Rolling, turning: Turning) -> Mapping[str, Any]:
         """Return what the tyres must carry at a speed and an acceleration, equation (1)."""
         drag, moving, size = self.resistance(grade, wheel), turning(v), ca.fabs(v)
-        # Both oppose the motion, backward too.
-        roll, aero = moving * drag.roll(size), drag.aero * size * v
+        # Drag and tyres oppose the motion, backward too.
+        resisting = moving * drag.roll(size) + drag.climb + drag.aero * size * v
         return {
-            "tyre": Tyre(self.p.m * a + roll + drag.climb + aero, v, a),
+            "tyre": Tyre(self.p.m * a + resisting, v, a),
             "der_v": a,
             "der_distance": v,
             "der_elevation": v * grade / ca.sqrt(1 + grade**2),
-            "P_aero": aero * v,
-            "P_roll": roll * v,
-            "P_climb": drag.climb * v,
+            **drag.powers(v, moving, size),
             "P_kinetic": self.p.m * a * v,
         }

@@ -27,7 +27,7 @@ import casadi as ca
 from halfshaft.library.base.component import Assumed, Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
 from halfshaft.library.base.interfaces import Rolling
-from halfshaft.library.base.links import Link, deliver, drag, inertia
+from halfshaft.library.base.links import Link, Way, continuous, drag, homeward, inertia, outward
 from halfshaft.library.base.parameters import Parameters, Relation, param, table
 from halfshaft.library.base.ports import Expr, Port, Shaft, Tyre
 from halfshaft.library.base.tables import Axis, Table
@@ -178,12 +178,9 @@ class Wheel(Component, Rolling):
         slip = self.slip(split.axle, grip.W_driven)
         omega = grip.v * (1 + slip) / self.p.r
         tread = self.shaft(split.driveline, omega, (grip.v - v_before) / dt * (1 + slip) / self.p.r)
-        way = [tread]
-        links = self.chain(turning, body)
-        for link in links:
-            way.append(link.law(way[-1]))
+        way = outward(self.chain(turning, body), tread)
         return {
-            "axle": way[-1],
+            "axle": way[-1][2],
             "F_limited": grip.F,
             "v_limited": grip.v,
             "slip_limited": grip.limited,
@@ -194,20 +191,18 @@ class Wheel(Component, Rolling):
             "_asked": tyre,
             "_grip": grip,
             "_split": split,
-            "_way": tuple(zip(links, way, way[1:], strict=False)),
+            "_way": way,
         }
 
     @face(
         "tyre", "v_driveline", "F_brake_front", "F_brake_rear",
         "P_brake", "P_slip", "P_bearing", "P_kinetic", "P_discretisation",
     )  # fmt: skip
-    def available(self, axle: Shaft, dt: Expr, _asked: Tyre, _grip: Grip, _split: Split, _way: Any) -> Mapping[str, Any]:
+    def available(self, axle: Shaft, dt: Expr, _asked: Tyre, _grip: Grip, _split: Split, _way: Way) -> Mapping[str, Any]:
         """Return the force and speed at the road that the offered axle point gives."""
         p = self.p
-        tread = axle
-        for link, asked, sent in reversed(_way):
-            tread = deliver(link, asked, sent, tread)
-        (_, at_tread, after_bearing), (_, _, at_axle) = _way
+        tread, books = homeward(_way, axle, dt)
+        (_, at_tread, _), (_, _, at_axle) = _way
         F_driveline = where(tread.tau == at_tread.tau, _split.driveline, tread.tau / p.r)
         # Brakes within their limits bring just what the request still needs, as far as the tyres hold it.
         F_needed = where(_grip.F < 0, ca.fmin(_grip.F, F_driveline), F_driveline)
@@ -217,8 +212,6 @@ class Wheel(Component, Rolling):
         F_driven = F_driveline + where(p.front_driven, F_front, 0) + where(p.rear_driven, F_rear, 0)
         v_driveline = p.r * axle.omega / (1 + self.slip(F_driven, _grip.W_driven))
         v_tyre = where(ca.fabs(at_axle.omega - axle.omega) > 1e-3, v_driveline, _grip.v)
-        J_alpha = at_axle.tau - after_bearing.tau
-        kinetic = J_alpha * (at_axle.omega - at_axle.alpha * dt / 2)
         return {
             "tyre": Tyre(F, v_tyre, _asked.a),
             "v_driveline": v_driveline,
@@ -226,9 +219,9 @@ class Wheel(Component, Rolling):
             "F_brake_rear": F_rear,
             "P_brake": -(F_driven - F_driveline) * p.r * axle.omega - (F - F_driven) * v_tyre,
             "P_slip": F_driven * (p.r * axle.omega - v_tyre),
-            "P_bearing": (after_bearing.tau - at_tread.tau) * axle.omega,
-            "P_kinetic": kinetic,
-            "P_discretisation": J_alpha * axle.omega - kinetic,
+            "P_bearing": books.loss,
+            "P_kinetic": books.kinetic,
+            "P_discretisation": books.discretisation,
         }
 
     def audit(
@@ -288,15 +281,13 @@ class Wheel(Component, Rolling):
         W_driven = p.front_driven * loads[0] + p.rear_driven * loads[1]
         slip = turning(tyre.v) * self.slip(F_driven, W_driven)
         point = self.shaft(F_driveline, tyre.v * (1 + slip) / p.r, tyre.a * (1 + slip) / p.r)
-        bearing, rotor = self.chain(turning, body)
-        after_bearing = bearing.law(point)
-        axle = rotor.law(after_bearing)
+        axle, books = continuous(self.chain(turning, body), point)
         return {
             "axle": axle,
             "P_brake": -(F_driven - F_driveline) * p.r * point.omega - (tyre.F - F_driven) * tyre.v,
             "P_slip": F_driven * (p.r * point.omega - tyre.v),
-            "P_bearing": after_bearing.P - point.P,
-            "P_kinetic": axle.P - after_bearing.P,
+            "P_bearing": books.loss,
+            "P_kinetic": books.kinetic,
             "tau_grip_out": p.r * (p.mu_max * W_driven - F_driven),
             "tau_grip_in": p.r * (p.mu_max * W_driven + F_driven),
         }

@@ -22,14 +22,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, reduce
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import clip, where
-from halfshaft.library.base.parameters import Parameters, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port
 from halfshaft.library.base.tables import Axis, Table
 
@@ -67,6 +67,13 @@ class BatteryParameters(Parameters):
     R_th_fan: float = param("K/W", "thermal resistance of a module to the air with fan", ge=1e-3, le=1e3)
     R_th_still: float = param("K/W", "thermal resistance of a module to the air without fan", ge=1e-3, le=1e3)
     airflow: float = param("kg/s", "air flow of the fan at a module", ge=1e-6, le=10)
+
+    rated: ClassVar[tuple[Rated, ...]] = (Rated("E", "J", "energy of the full pack", "capacity_scale", lambda p: p.ratings()["energy"]),)
+
+    @property
+    def weight(self) -> float:
+        """Mass of the pack [kg]."""
+        return self.n_modules * self.mass * self.capacity_scale
 
     def ratings(self) -> Mapping[str, float]:
         """Return the energy of the full pack [J]."""

@@ -16,9 +16,13 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, Variable, face, plant
+from halfshaft.library.base.component import Variable, face
+from halfshaft.library.base.junction import Junction
 from halfshaft.library.base.parameters import Parameters
-from halfshaft.library.base.ports import Electric, Expr, Port
+from halfshaft.library.base.ports import Electric, Port
+
+#: A port that nothing is connected to.
+NOTHING = Electric(0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,42 +31,26 @@ class BusParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class Bus(Component):
-    """Node between motor, battery and, in a series hybrid, generator."""
+class Bus(Junction):
+    """Node between the loads, the battery and what makes electricity on board."""
 
     kind = "bus"
     p: BusParameters
     parameters = BusParameters
     load = Port(Electric, "wheel")
     battery = Port(Electric, "source")
-    generator = Port(Electric, "source", optional=True)
-    variables = (
-        Variable("P_bus", "W", "power that the load asks of the bus", signal=True),
-        Variable("P_loss", "W", "surplus that nothing takes", "loss"),
-    )
+    generator = Port(Electric, "source", optional=True, offers=True)
+    variables = (Variable("P_bus", "W", "power that the load asks of the bus", signal=True),)
 
     @face("P_bus")
     def demand(self, load: Electric) -> Mapping[str, Any]:
-        """Publish the demand, which the control of a series hybrid looks at."""
+        """Publish the demand, which the control of a hybrid looks at."""
         return {"P_bus": load.P}
 
-    @face("battery")
-    def required(self, load: Electric, generator: Electric = Electric(0.0)) -> Mapping[str, Any]:  # noqa: B008
+    def ask_battery(self, load: Electric, generator: Electric = NOTHING) -> Electric:
         """Return equation (1)."""
-        return {"battery": Electric(load.P - generator.P)}
+        return Electric(load.P - generator.P)
 
-    @face("load", "P_loss")
-    def available(self, P_bus: Expr, battery: Electric, generator: Electric = Electric(0.0)) -> Mapping[str, Any]:  # noqa: B008
+    def join(self, load: Electric, battery: Electric, generator: Electric = NOTHING) -> Electric:
         """Return what the load gets."""
-        P = battery.P + generator.P
-        given = ca.fmin(P, ca.fmax(P_bus, 0))
-        return {"load": Electric(given), "P_loss": P - given}
-
-    def audit(self, load: Electric, battery: Electric, P_loss: Expr, generator: Electric = Electric(0.0)) -> Mapping[str, Any]:  # noqa: B008
-        """Compare what came with what went and what nothing took."""
-        return {"sum": battery.P + generator.P - load.P - P_loss}
-
-    @plant("battery", "P_loss")
-    def flow(self, load: Electric, generator: Electric = Electric(0.0)) -> Mapping[str, Any]:  # noqa: B008
-        """Return equation (1) in continuous time."""
-        return {"battery": Electric(load.P - generator.P), "P_loss": 0}
+        return Electric(ca.fmin(battery.P + generator.P, ca.fmax(load.P, 0)))

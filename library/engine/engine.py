@@ -19,21 +19,24 @@ Behind an open clutch (or before a genset is ready) the engine spins by itself t
 Geared to the wheels it follows them, after a missed trace at the speed actually reached (paper eq. 10), and holds them
 to its top speed.
 
-The engine has one face: a source with limits has no way back.  Left out: cold running, emissions, turbo lag.
+A source with limits has no way back: *speed* says how fast it turns, *torque* what it gives, *burn* what that costs.  Left
+out: cold running, emissions, turbo lag.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
+import numpy as np
 
 from halfshaft.library.base.component import Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
-from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.links import kinetic_rate
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
 from halfshaft.library.base.ports import Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -62,7 +65,22 @@ class EngineParameters(Parameters):
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
+    rated: ClassVar[tuple[Rated, ...]] = (
+        Rated("P_max", "W", "largest power of the envelope's points", "torque_scale", lambda p: peak_power(p)),
+        Rated("e_max", "1", "best efficiency", "efficiency_scale", lambda p: best_efficiency(p)),
+    )
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.fuel, lambda work, fuel: [(work, fuel)], p.H_fuel), LIFTED),)
+
+
+def peak_power(p: EngineParameters) -> float:
+    """Return the largest power of the envelope's points [W]."""
+    return float((p.tau_max.points[0] * p.tau_max.values).max() * p.torque_scale * p.speed_scale)
+
+
+def best_efficiency(p: EngineParameters) -> float:
+    """Return the best efficiency of the fuel map."""
+    work, P_fuel = np.outer(*p.fuel.points), p.H_fuel * p.fuel.values
+    return float(p.efficiency_scale * np.max(np.divide(work, P_fuel, out=np.zeros_like(work), where=P_fuel > 0)))
 
 
 @dataclass(frozen=True)
@@ -145,24 +163,37 @@ class Engine(Component, Machine):
         scale = p.speed_scale * p.torque_scale / p.efficiency_scale
         return scale * p.fuel(omega / p.speed_scale, tau / p.torque_scale)
 
-    @face("omega_engine", "next_omega_free", "next_command_before", "next_ratio_before")
-    def speed(
-        self, omega_command: Expr, engine_on: Expr, omega_idle: Expr, clutch_open: Expr, dt: Expr,
-        omega_own: Expr, omega_free: Expr, command_before: Expr, trace_missed: Expr, speed_ratio: Expr,
-        ratio_before: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, tau_accessory_before: Expr = 0.0,
-        ratio: Expr = 1.0, J_shaft: Expr = 0.0,
-    ) -> Mapping[str, Any]:  # fmt: skip
-        """Estimate the engine's speed in this step."""
-        J = ca.fmax(self.p.J + J_shaft, 1e-6)
-        spin_up = ca.fmin(self.tau_max(omega_own), J * (omega_command - omega_own) / dt + tau_accessory_before)
+    def burnt(self, tau: Expr, omega: Expr, engine_on: Expr) -> tuple[Expr, Expr, Expr]:
+        """Return the fuel flow [kg/s], the power in it and the power lost [W]."""
+        flow = where(engine_on, self.fuel_flow(tau, omega), 0)
+        P_fuel = flow * self.p.H_fuel
+        return flow, P_fuel, P_fuel - tau * omega
+
+    @face("_free", "_reach")
+    def spin(
+        self, omega_command: Expr, omega_own: Expr, omega_free: Expr, dt: Expr, tau_accessory_before: Expr = 0.0, J_shaft: Expr = 0.0
+    ) -> Mapping[str, Any]:
+        """Return the speed that the engine comes to by itself, and the most that it could."""
+        J, highest = ca.fmax(self.p.J + J_shaft, 1e-6), self.tau_max(omega_own)
+        spin_up = ca.fmin(highest, J * (omega_command - omega_own) / dt + tau_accessory_before)
         tau_free = where(omega_command >= omega_own, spin_up, self.tau_closed(omega_own))
         per_tau = dt * (1 / J)
-        free = ca.fmax(omega_free + per_tau * (tau_free - tau_accessory_before), 0)
+        return {
+            "_free": ca.fmax(omega_free + per_tau * (tau_free - tau_accessory_before), 0),
+            "_reach": omega_own + per_tau * highest,
+        }
+
+    @face("omega_engine", "next_omega_free", "next_command_before", "next_ratio_before")
+    def speed(
+        self, _free: Expr, _reach: Expr, omega_command: Expr, engine_on: Expr, omega_idle: Expr, clutch_open: Expr,
+        command_before: Expr, trace_missed: Expr, speed_ratio: Expr, ratio_before: Expr,
+        clutch_slipping: Expr = 0.0, geared: Expr = 0.0, ratio: Expr = 1.0,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Estimate the engine's speed in this step."""
         follows = ca.logic_and(ca.logic_and(trace_missed, geared), ca.logic_not(clutch_slipping))
         geared_speed = where(follows, command_before * speed_ratio * ratio / ratio_before, omega_command)
         # A genset speeds up no faster than with all of its torque.
-        reached = where(geared, geared_speed, ca.fmin(omega_command, omega_own + per_tau * self.tau_max(omega_own)))
-        estimate = where(clutch_open, free, reached)
+        estimate = where(clutch_open, _free, where(geared, geared_speed, ca.fmin(omega_command, _reach)))
         omega = ca.fmax(ca.fmin(estimate, self.omega_max), omega_idle * engine_on)
         return {
             "omega_engine": omega,
@@ -172,15 +203,13 @@ class Engine(Component, Machine):
         }
 
     @face(
-        "shaft", "throttle_engine", "tau_map", "speed_limited", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation",
-        "P_mismatch", "next_omega_own", "next_fuel_used",
+        "shaft", "throttle_engine", "tau_map", "speed_limited", "P_kinetic", "P_discretisation", "P_mismatch", "next_omega_own"
     )  # fmt: skip
-    def available(
-        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
-        fuel_used: Expr, v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0,
-        J_shaft: Expr = 0.0,
+    def torque(
+        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
+        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
-        """Return the torque that the engine gives, equations (1) to (3), and the fuel that it burns, equation (4)."""
+        """Return the torque that the engine gives, equations (1) to (3)."""
         omega, closed, highest = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
         J_dt, change = self.p.J * (1 / dt), omega - omega_own
         # A genset that only spins turns its generator's rotor too.
@@ -198,30 +227,30 @@ class Engine(Component, Machine):
         # Behind an open clutch the shaft is the engine's own, and carries the accessories only; so is a genset's.
         turned = ca.logic_and(geared, ca.logic_not(clutch_open))
         omega_shaft = where(turned, ca.fmin(shaft.omega, self.omega_max), omega)
-        flow = where(engine_on, self.fuel_flow(tau_map, omega), 0)
-        P_fuel = flow * self.p.H_fuel
-        kinetic = J_dt / 2 * (own**2 - omega_own**2)
+        kinetic = kinetic_rate(self.p.J, omega_own, own, dt)
         return {
             "shaft": Shaft(tau, omega_shaft, shaft.alpha),
             "throttle_engine": (tau_map - closed) / (highest - closed),
             "tau_map": tau_map,
             "speed_limited": ca.logic_and(turned, shaft.omega > self.omega_max * (1 - 1e-9)),
-            "fuel_flow": flow,
-            "P_fuel": P_fuel,
-            "P_loss": P_fuel - tau_map * omega,
             "P_kinetic": kinetic,
             "P_discretisation": (tau_map - tau) * omega - kinetic,
             "P_mismatch": tau * (omega - omega_shaft),
             "next_omega_own": own,
-            "next_fuel_used": fuel_used + dt * flow,
         }
+
+    @face("fuel_flow", "P_fuel", "P_loss", "next_fuel_used")
+    def burn(self, tau_map: Expr, omega_engine: Expr, engine_on: Expr, fuel_used: Expr, dt: Expr) -> Mapping[str, Any]:
+        """Return the fuel that the engine burns, equation (4)."""
+        flow, P_fuel, P_loss = self.burnt(tau_map, omega_engine, engine_on)
+        return {"fuel_flow": flow, "P_fuel": P_fuel, "P_loss": P_loss, "next_fuel_used": fuel_used + dt * flow}
 
     def audit(
         self, shaft: Shaft, omega_engine: Expr, tau_map: Expr, P_fuel: Expr, P_loss: Expr, P_kinetic: Expr, P_discretisation: Expr,
         fuel_used: Expr, next_fuel_used: Expr, dt: Expr, engine_on: Expr, clutch_open: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Compare fuel and torque with the map, equation (4), and with what shaft and rotor took, equation (3)."""
-        fuel = where(engine_on, self.p.H_fuel * self.fuel_flow(tau_map, omega_engine), 0)
+        _, fuel, _ = self.burnt(tau_map, omega_engine, engine_on)
         taken = shaft.tau * omega_engine + P_kinetic + P_discretisation
         return {
             "fuel map": P_fuel - fuel,
@@ -230,8 +259,8 @@ class Engine(Component, Machine):
             "torque at the shaft": where(clutch_open, 0, tau_map * omega_engine - taken),
         }
 
-    @plant("der_omega_engine", "der_fuel_used", "tau_map", "speed_limited", "P_fuel", "P_loss", "P_kinetic")
-    def flow(
+    @plant("der_omega_engine", "tau_map", "speed_limited", "P_kinetic")
+    def turn(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
         clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
@@ -252,14 +281,11 @@ class Engine(Component, Machine):
         idling = clip((omega_idle - omega_engine) / GOVERNOR_BAND, 0, 1)
         pedal = closed + ca.fmax(throttle_engine, idling) * (highest - closed)
         tau = where(engine_on, where(by_throttle, pedal, governed(omega_command)), closed)
-        flow = where(engine_on, self.fuel_flow(tau, omega_engine), 0)
         alpha = (tau - shaft.tau) / J
-        return {
-            "der_omega_engine": alpha,
-            "der_fuel_used": flow,
-            "tau_map": tau,
-            "speed_limited": fade < 1,
-            "P_fuel": flow * self.p.H_fuel,
-            "P_loss": flow * self.p.H_fuel - tau * omega_engine,
-            "P_kinetic": J * alpha * omega_engine,
-        }
+        return {"der_omega_engine": alpha, "tau_map": tau, "speed_limited": fade < 1, "P_kinetic": J * alpha * omega_engine}
+
+    @plant("der_fuel_used", "P_fuel", "P_loss")
+    def fire(self, tau_map: Expr, omega_engine: Expr, engine_on: Expr) -> Mapping[str, Any]:
+        """Return the fuel that the engine burns, equation (4), in continuous time."""
+        flow, P_fuel, P_loss = self.burnt(tau_map, omega_engine, engine_on)
+        return {"der_fuel_used": flow, "P_fuel": P_fuel, "P_loss": P_loss}

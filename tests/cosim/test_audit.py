@@ -16,7 +16,6 @@ from halfshaft.library.base.ports import Shaft
 from halfshaft.library.chassis.body import Body
 from halfshaft.library.chassis.wheel import Wheel
 from halfshaft.library.electric.battery import Battery
-from halfshaft.library.electric.bus import Bus
 from halfshaft.library.electric.generator import Generator
 from halfshaft.library.electric.motor import Motor
 from halfshaft.library.engine.engine import Engine
@@ -94,13 +93,12 @@ SLIPS = [
     (Battery, "rates", "P_loss", ELECTRIC, "R I^2"),
     (Battery, "rates", "charge_drawn", ELECTRIC, "charge"),
     (Battery, "rates", "P_stored", ELECTRIC, "store"),
-    (Bus, "available", "load", ELECTRIC, "sum"),
     (Generator, "available", "dc", SERIES, "map"),
     (Generator, "available", "P_loss", SERIES, "loss"),
-    (Engine, "available", "P_fuel", SERIES, "fuel map"),
-    (Engine, "available", "next_fuel_used", SERIES, "fuel burnt"),
-    (Engine, "available", "P_loss", CONVENTIONAL, "loss"),
-    (Engine, "available", "shaft", CONVENTIONAL, "torque at the shaft"),
+    (Engine, "burn", "P_fuel", SERIES, "fuel map"),
+    (Engine, "burn", "next_fuel_used", SERIES, "fuel burnt"),
+    (Engine, "burn", "P_loss", CONVENTIONAL, "loss"),
+    (Engine, "torque", "shaft", CONVENTIONAL, "torque at the shaft"),
 ]
 
 

@@ -11,18 +11,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from halfshaft.library.base.links import TwoSided
+from halfshaft.library.base.links import TwoSided, continuous
 from halfshaft.library.base.ports import Electric, Shaft, Tyre
 from halfshaft.library.driveline.clutch import Clutch
 from halfshaft.library.electric.motor import OMEGA_OFF
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.models.assembly import StepDirection, step_turning
 from halfshaft.models.forward import PlantDirection, plant_turning
 
 N = 200
 DT = 0.7
-TWO_SIDED = [kind for kind, component in KINDS.items() if issubclass(component, TwoSided)]
+TWO_SIDED = [kind for kind, component in component_kinds().items() if issubclass(component, TwoSided)]
 
 share = ca.SX.sym("share")
 
@@ -87,7 +87,7 @@ def chain_case(part, signals, inside, edges):
         (flow,) = (f for f in part.plant_faces() if source.name in f.gives)
         if isinstance(part, Clutch):
             # Its plant face is a friction pair; the chain stands for itself.
-            return part.continuous(point, part.chain(**needed))[0]
+            return continuous(part.chain(**needed), point)[0]
         return flow.run(**{n: known[n] for n in flow.takes if n in known})[source.name]
 
     return Case(
@@ -225,13 +225,39 @@ def wheel_case(name, body_name, seed, **values):
 
 def bus_case(part, generator):
     x = ca.SX.sym("P")
-    load, source = Electric(x), Electric(generator)
-    sent = part.required(load, source)["battery"]
-    back = part.available(x, offer(sent), source)
-    plant = part.flow(load, source)["battery"]
-    P = random(6).uniform(-5e4, 8e4, (N, 1))
-    P_in, P_out, P_loss = offer(sent).P + generator, back["load"].P, ca.SX(back["P_loss"])
-    return Case(x, load, sent, back["load"], plant, plant, P_loss, P_in, P_out, ca.SX(0), P, np.zeros((1, 1)))
+    return junction_case(
+        part, x, Electric(x), {"generator": Electric(generator)}, {}, random(6).uniform(-5e4, 8e4, (N, 1)), np.zeros((1, 1))
+    )
+
+
+def junction_case(part, x, load, offering, signals, inside, edges):
+    """Return the case of a junction: all its sources give the same share of what they are asked for."""
+    name, faces = part.load_port().name, {f.name: f for f in part.faces()}
+
+    def run(face, **known):
+        return face.run(**{n: known[n] for n in face.takes if n in known})
+
+    known = {name: load, "dt": DT, **offering, **signals}
+    known |= run(faces["required"], **known)
+    sent = {}
+    for port in (port.name for port in part.asked_ports()):
+        known |= run(faces[f"ask_{port}"], **known)
+        sent[port] = known[port]
+        known[port] = offer(sent[port])
+    back = run(faces["available"], **known)
+
+    def plant(**laws):
+        divided = {f"{port.kind._fields[0]}_{port.name}": sent[port.name][0] for port in part.asked_ports()[:-1]}
+        (flow,) = (f for f in part.plant_faces() if f.name == "flow")
+        points = run(flow, **{name: load, **offering, **signals, **divided, **laws})
+        return [value for port in sent for value in points[port]]
+
+    P_in = sum(offer(point).P for point in sent.values()) + sum(point.P for point in offering.values())
+    stored = sum(back.get(f"P_{book}", 0) for book in ("kinetic", "discretisation", "mismatch"))
+    return Case(
+        x, load, [value for point in sent.values() for value in point], back[name], plant(), plant(turning=plant_turning),
+        ca.SX(back["P_loss"]), P_in, back[name].P, ca.SX(stored), inside, edges,
+    )  # fmt: skip
 
 
 def battery_case(name, seed, **values):
