@@ -17,7 +17,7 @@ from halfshaft.cosim.plot import plot_run
 from halfshaft.cosim.simulate import run
 from halfshaft.models.model import Model
 from halfshaft.models.powertrain import Derived, Powertrain, powertrains
-from halfshaft.models.rules import GensetLocus, TopSpeed
+from halfshaft.models.rules import GensetLocus, SumOfParts, TopSpeed
 from halfshaft.models.vehicle import Vehicle
 
 NAMES = {
@@ -41,12 +41,13 @@ def connect_conventional(m: Model) -> None:
     m.chain("chassis", "tyres", "axle_gear", "box", "disc", "hotel", "ice")
 
 
+MASS = Derived("chassis.m", (SumOfParts,))
 RATIO = Derived("box.ratios", (TopSpeed,), {"motor": "machine_a", "wheel": "tyres", "final_drive": "axle_gear"})
 LOCUS = Derived("brain.omega_locus", (GensetLocus,), {"engine": "ice", "generator": "machine_b"})
 CONNECTED = {
-    "electric": (connect_electric, (RATIO,)),
-    "series": (connect_series, (RATIO, LOCUS)),
-    "conventional": (connect_conventional, ()),
+    "electric": (connect_electric, (MASS, RATIO)),
+    "series": (connect_series, (MASS, RATIO, LOCUS)),
+    "conventional": (connect_conventional, (MASS,)),
 }
 
 

@@ -6,7 +6,7 @@ import pytest
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.parameters import Parameters, param, spec_of
 from halfshaft.library.base.tags import Tag, Tags
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 
 TAGS = Tags({"one.soc": "charge", "two.soc": "charge", "one.m": "vehicle mass"})
 
@@ -26,7 +26,7 @@ def test_the_one_must_be_one(tag, found):
 
 def test_every_word_is_used_by_a_component_and_no_other():
     used = set()
-    for cls in KINDS.values():
+    for cls in component_kinds().values():
         used |= {v.tag for v in cls.variables} | {s.tag for s in cls.states} | {s.tag for s, _ in cls.plant_states}
         used |= {tag for port in cls.ports().values() for tag in port.tags.values()}
         used |= {spec_of(f).tag for f in fields(cls.parameters)}
