@@ -281,7 +281,7 @@ def _threads(n_cores: int) -> list[Row]:
     samples = Cycle.load("udds").sampled(1.0)
     base = Vehicle.load("small-car-electric")
     compiled = stepper_of(base)
-    fleet = [parameters_of(base.with_values({"body.m": 1000.0 + i}), compiled.step) for i in range(200)]
+    fleet = [parameters_of(base.with_values({base.tags.the("vehicle mass"): 1000.0 + i}), compiled.step) for i in range(200)]
 
     def throughput(threads: int) -> tuple[float, float]:
         """Return runs per second, and how many cores the system gave."""

@@ -106,12 +106,15 @@ class Junction(Component):
         yield from (asking(port.name) for port in self.asked_ports())
         names, absent = self._takes(self.join)
         sent = {port.name: f"_sent_{port.name}" for port in self.asked_ports()}
+        made_up = {name for port in sent for name in arguments(getattr(self, f"ask_{port}"))[0]} & sent.keys()
         booked = tuple(v.name for v in self.all_variables() if v not in self.variables)
 
         def available(_way: Any, _split: Any, dt: Any, **x: Any) -> Mapping[str, Any]:
-            reached = [x[port][0] == x.pop(private)[0] for port, private in sent.items()]
+            given = {port: x[port][0] == x.pop(private)[0] for port, private in sent.items()}
+            reached = [given[port] for port in given if port not in made_up]
             joined = self.join(**{load: _split} | x)
-            # Where all sources give what they were asked for, so does the joint, to the last bit.
+            # Where all sources give what they were asked for, so does the joint, to the last bit; what one of them did not give,
+            # those that saw its offer were asked for.
             whole = reached[0] if len(reached) == 1 else ca.logic_and(*reached) if len(reached) == 2 else ca.logic_all(ca.vertcat(*reached))
             joint = joined._replace(**{joined._fields[0]: where(whole, _split[0], joined[0])})
             delivered, books = homeward(_way, joint, dt)
