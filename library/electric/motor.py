@@ -56,7 +56,9 @@ class MotorParameters(Parameters):
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
-    relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
+    relations: ClassVar[tuple[Relation, ...]] = (
+        Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),
+    )
 
     rated: ClassVar[tuple[Rated, ...]] = (
         Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.ratings()["traction power"]),
@@ -101,18 +103,21 @@ class Motor(TwoSided, Machine):
     """Motor and controller between the gearbox's shaft and the supply."""
 
     kind = "motor"
+    family = "motor"
     p: MotorParameters
     parameters = MotorParameters
     shaft = Port(Shaft, "wheel", tags={"omega": "machine speed"})
     dc = Port(Electric, "source", tags={"P": "traction input"})
-    states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),
+    )
     variables = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
         Variable("throttle_motor", "1", "that torque over the envelope, negative while braking", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
     )
     signals = (Signal("U_min", "V", "lowest supply voltage"),)
-    reads = (
+    reads: ClassVar[tuple[From, ...]] = (
         From("body", trace_missed="1", speed_ratio="1"),
         From("battery", U_supply="V"),
         From("shift", optional=True, shifting="1"),

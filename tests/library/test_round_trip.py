@@ -311,7 +311,7 @@ SCALED_MOTOR = {"speed_scale": 0.8, "torque_scale": 1.3, "efficiency_scale": 0.9
 def two_sided_cases(kind):
     """Yield cases of all components of a two-sided kind, by name."""
     for seed, name in enumerate(component_names(kind)):
-        if kind == "motor":
+        if kind in ("motor", "motor-thermal"):
             yield name, lambda n=name, s=seed: motor_case(component(n), s)
         elif kind.startswith("gearbox"):
             for gear in {1, len(component(name).p.ratios)}:
@@ -345,7 +345,10 @@ CASES |= {
     "battery-at-its-largest-power": lambda: store_case("nimh-93ah", 28, u_min=0.0),
 }
 CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 30 + i) for i, n in enumerate(component_names("body"))}
-CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(component_names("wheel"))}
+WHEELS = [*component_names("wheel"), *component_names("wheel-j2452")]
+CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(WHEELS)}
+CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 46 + i, m=1500.0, F_1=1.5) for i, n in enumerate(component_names("coast-down-body"))}
+CASES |= {"wheels-under-a-body-by-its-road-load": lambda: wheel_case("suv-wheels-j2452", "small-car-coast-down", 48)}
 STORES = [name for kind in ("battery", "battery-rc", "ultracapacitor") for name in component_names(kind)]
 CASES |= {f"battery-{n}": lambda n=n, i=i: store_case(n, 50 + i) for i, n in enumerate(STORES)}
 
