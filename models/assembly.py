@@ -175,7 +175,9 @@ def _described_outputs(model: Model, parts: Mapping[str, Component], states: lis
             fields, supplied = [f for f in SHOWN[c.supply_port.kind] if f != "P"], c.supply_port.tags
             if c.supply == name:
                 for f in fields:
-                    offered = Description(f"{name}.{f}{out}", UNITS[f], f"{MEANINGS[f]} toward the wheel, available", tag=supplied.get(f, ""))
+                    offered = Description(
+                        f"{name}.{f}{out}", UNITS[f], f"{MEANINGS[f]} toward the wheel, available", tag=supplied.get(f, "")
+                    )
                     found.append((offered, available, f))
                     asked = Description(f"{name}.{f}{out}_required", UNITS[f], f"{MEANINGS[f]} toward the wheel, required")
                     found.append((asked, required, f))

@@ -25,7 +25,9 @@ from halfshaft.library.driveline.gearbox import _Gearbox
 class CvtParameters(Parameters):
     """Range of ratios, inertia and efficiency."""
 
-    ratios: tuple[float, ...] = params("1", "ratios of input speed to output speed at the ends of the range, the highest first", ge=0.01, le=100)
+    ratios: tuple[float, ...] = params(
+        "1", "ratios of input speed to output speed at the ends of the range, the highest first", ge=0.01, le=100
+    )
     J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0, le=100)
     speed_scale: float = param("1", "factor on the speeds of the efficiency", 1.0, ge=0.01, le=100)
     torque_scale: float = param("1", "factor on the torques of the efficiency", 1.0, ge=0.01, le=100)

@@ -150,9 +150,7 @@ class TorqueConverter(TwoSided):
         tau = self.p.capacity_scale * self.p.capacity(nu) * omega_pump**2
         return tau, self.p.torque_ratio(nu) * tau
 
-    def reach(
-        self, engine: Engine, omega: Expr, omega_own: Expr, omega_idle: Expr, tau_accessory: Expr, dt: Expr
-    ) -> tuple[Expr, Expr]:
+    def reach(self, engine: Engine, omega: Expr, omega_own: Expr, omega_idle: Expr, tau_accessory: Expr, dt: Expr) -> tuple[Expr, Expr]:
         """Return the lowest and the highest speed to which the engine can bring the pump, equation (4) [rad/s]."""
         J_dt, taken = engine.p.J / dt, self.torques(omega_own, omega)[0]
 

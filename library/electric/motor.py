@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,7 @@ from halfshaft.library.base.component import From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import Link, TwoSided, continuous, inertia, limit
-from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -58,6 +58,11 @@ class MotorParameters(Parameters):
 
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
 
+    rated: ClassVar[tuple[Rated, ...]] = (
+        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.ratings()["traction power"]),
+        Rated("e_max", "1", "best efficiency while driving", "efficiency_scale", lambda p: best_efficiency(p)),
+    )
+
     def ratings(self) -> Mapping[str, float]:
         """Return the largest power at the shaft [W]."""
         return {"traction power": peak_power(self)}
@@ -83,6 +88,12 @@ def peak_power(p: MotorParameters) -> float:
     between = (top > omega[:-1][falls]) & (top < np.minimum(omega[1:][falls], p.omega_max))
     best = max(best, (-slope[falls] * top**2)[between].max(initial=0.0))
     return float(best * p.overtorque * p.torque_scale * p.speed_scale)
+
+
+def best_efficiency(p: MotorParameters) -> float:
+    """Return the best efficiency of the map while driving."""
+    work, P = np.outer(*p.P_electric.points), p.P_electric.values
+    return float(p.efficiency_scale * np.max(np.divide(work, P, out=np.zeros_like(P), where=(work > 0) & (P > 0))))
 
 
 @dataclass(frozen=True)
