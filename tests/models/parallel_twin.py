@@ -216,7 +216,8 @@ def mild(parameters, samples):
     motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"]), Bus()
     battery, n, T_drag = Battery(p["battery"], p["motor"].U_min), p["coupler"].n, p["coupler"].tau_loss
     control = MildControl(p["control"], engine, motor, n, samples.v_start)
-    shift, clutch = Shift(p["shift"], p["gearbox"].ratios, engine.T_max), Clutch(engine.T_largest, control.w_launch)
+    T_largest = engine.T_largest + n * motor.p.overtorque * motor.p.torque_scale * max(motor.p.tau_max.values.tolist())
+    shift, clutch = Shift(p["shift"], p["gearbox"].ratios, engine.T_max), Clutch(T_largest, control.w_launch)
     for v_request, grade, key_on, dt in steps(samples, road):
         battery.limits()
         a_request = (v_request - road.v) / dt
