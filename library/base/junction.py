@@ -41,7 +41,9 @@ class Junction(Component):
         """Declare how the flow divides as unknowns."""
         super().__init_subclass__(**given)
         fields = ((port.kind._fields[0], port.name) for port in cls.asked_ports()[:-1])
-        cls.unknowns = (*cls.unknowns, *(Unknown(f"{f}_{name}", UNITS[f], f"{MEANINGS[f]} from {name}") for f, name in fields))
+        own = (Unknown(f"{f}_{name}", UNITS[f], f"{MEANINGS[f]} from {name}") for f, name in fields)
+        # A subclass's own subclass has its parent's ports.
+        cls.unknowns = tuple(dict.fromkeys((*cls.unknowns, *own)))
 
     @classmethod
     def load_port(cls) -> Port:
