@@ -61,7 +61,8 @@ class Powertrain:
 
     def model(self, parts: Mapping[str, Component]) -> Model:
         """Return the model that parts make."""
-        model = Model(self.name, parts)
+        # A name of functions in C, too.
+        model = Model(self.name.replace("-", "_"), parts)
         self.connect(model)
         return model
 

@@ -188,13 +188,20 @@ class Motor(TwoSided, Machine):
 
         The torque fades over the last half per cent below the top speed.
         """
-        lowest, highest = self.limits(ca.fabs(_omega))
+        return {"balance": self.short(_tau, ca.fabs(_omega), _P, throttle_motor, P_room_out, P_room_in, U, tau_grip_out, tau_grip_in)}
+
+    def short(
+        self, tau: Expr, omega: Expr, P: Expr, throttle: Expr, P_out: Expr, P_in: Expr, U: Expr,
+        tau_out: Expr = ca.inf, tau_in: Expr = ca.inf,
+    ) -> Expr:  # fmt: skip
+        """Return how much torque the machine gives beyond `tau`, at a throttle and with room for power and torque out and in."""
+        lowest, highest = self.limits(omega)
         top = self.omega_max
-        fade = clip((top - ca.fabs(_omega)) / (0.005 * top), 0, 1)
-        tau = where(throttle_motor >= 0, throttle_motor * highest * fade, -throttle_motor * lowest)
-        scale = ca.fmax(ca.fabs(_omega), 10)
+        fade = clip((top - omega) / (0.005 * top), 0, 1)
+        given = where(throttle >= 0, throttle * highest * fade, -throttle * lowest)
+        scale = ca.fmax(omega, 10)
         P_max = self.p.I_max * U
         # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
-        more = ca.fmax(ca.fmin(ca.fmin(P_room_out, P_max - _P) / scale, tau_grip_out), -_tau)
-        less = ca.fmin(-ca.fmin(ca.fmin(P_room_in, P_max + _P) / scale, tau_grip_in), -_tau)
-        return {"balance": ca.fmax(ca.fmin(tau - _tau, more), less)}
+        more = ca.fmax(ca.fmin(ca.fmin(P_out, P_max - P) / scale, tau_out), -tau)
+        less = ca.fmin(-ca.fmin(ca.fmin(P_in, P_max + P) / scale, tau_in), -tau)
+        return ca.fmax(ca.fmin(given - tau, more), less)

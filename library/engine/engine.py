@@ -74,7 +74,7 @@ class Engine(Component, Machine):
     parameters = EngineParameters
     shaft = Port(Shaft, "wheel")
     states = (
-        State("omega_own", "rad/s", "speed that the rotor has reached"),
+        State("omega_own", "rad/s", "speed that the rotor has reached", signal=True),
         State("omega_free", "rad/s", "speed of the free engine, idling control left out"),
         State("command_before", "rad/s", "commanded speed of the previous step"),
         State("ratio_before", "1", "ratio of the gear in the previous step"),
@@ -199,7 +199,7 @@ class Engine(Component, Machine):
         P_fuel = flow * self.p.H_fuel
         kinetic = J_dt / 2 * (own**2 - omega_own**2)
         return {
-            "shaft": Shaft(tau, omega_shaft, shaft.alpha),
+            "shaft": Shaft(tau, omega_shaft, where(geared, shaft.alpha, change / dt)),
             "throttle_engine": (tau_map - closed) / (highest - closed),
             "tau_map": tau_map,
             "speed_limited": ca.logic_and(turned, shaft.omega > self.omega_max * (1 - 1e-9)),
@@ -227,7 +227,7 @@ class Engine(Component, Machine):
             "torque at the shaft": where(clutch_open, 0, tau_map * omega_engine - taken),
         }
 
-    @plant("der_omega_engine", "der_fuel_used", "tau_map", "speed_limited", "P_fuel", "P_loss", "P_kinetic")
+    @plant("shaft", "der_omega_engine", "der_fuel_used", "tau_map", "speed_limited", "P_fuel", "P_loss", "P_kinetic")
     def flow(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
         clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
@@ -252,6 +252,7 @@ class Engine(Component, Machine):
         flow = where(engine_on, self.fuel_flow(tau, omega_engine), 0)
         alpha = (tau - shaft.tau) / J
         return {
+            "shaft": Shaft(shaft.tau, omega_engine, alpha),
             "der_omega_engine": alpha,
             "der_fuel_used": flow,
             "tau_map": tau,

@@ -1,0 +1,99 @@
+"""Planetary gear of a power split: ring toward the wheel, carrier at the engine, sun at the generator; a motor on the ring.
+
+With the numbers of teeth ``r`` and ``s`` of ring and sun, and neither mass nor loss::
+
+    omega_sun = (1 + r/s) omega_carrier - r/s omega_ring                     (1)
+    tau_sun   = -s/(r + s) tau_carrier                                       (2)
+    tau_motor = tau_load - r/(r + s) tau_carrier,  omega_motor = omega_ring  (3)
+
+all torques as they drive the gear.  The engine is asked first, at the point that the control commands; generator and motor
+are asked for what follows from what it offers.  On the way back the carrier holds no more than the sun does::
+
+    tau_load  = tau_motor - r/s tau_sun,           omega_load = omega_motor  (4)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from halfshaft.library.base.component import From, Signal, face, plant
+from halfshaft.library.base.junction import Junction
+from halfshaft.library.base.parameters import Parameters, param
+from halfshaft.library.base.ports import Expr, Port, Shaft
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanetaryGearParameters(Parameters):
+    """Teeth of the gear."""
+
+    r: float = param("1", "teeth of the ring", ge=1, le=1e4)
+    s: float = param("1", "teeth of the sun", ge=1, le=1e4)
+
+
+@dataclass(frozen=True)
+class PlanetaryGear(Junction):
+    """Planetary gear with the motor's shaft on its ring."""
+
+    kind = "planetary-gear"
+    p: PlanetaryGearParameters
+    parameters = PlanetaryGearParameters
+    ring = Port(Shaft, "wheel")
+    carrier = Port(Shaft, "source")
+    sun = Port(Shaft, "source")
+    motor = Port(Shaft, "source")
+    signals = (
+        Signal("tau_ring", "N.m", "required torque at the ring's shaft"),
+        Signal("omega_ring", "rad/s", "required speed of the ring's shaft"),
+    )
+    #: The sun's torque follows from the carrier's.
+    free = ("carrier",)
+    reads = (From("control", tau_command="N.m", omega_command="rad/s"),)
+
+    @property
+    def share(self) -> Expr:
+        """Share of the carrier's torque that the ring gets."""
+        return self.p.r / (self.p.r + self.p.s)
+
+    def omega_sun(self, carrier: Expr, ring: Expr) -> Expr:
+        """Return equation (1), of speeds or of accelerations."""
+        i = self.p.r / self.p.s
+        return (1 + i) * carrier - i * ring
+
+    def omega_carrier(self, sun: Expr, ring: Expr) -> Expr:
+        """Return the speed of the carrier at which sun and ring turn as given [rad/s]."""
+        return self.share * ring + (1 - self.share) * sun
+
+    @face("tau_ring", "omega_ring")
+    def demand(self, ring: Shaft) -> Mapping[str, Any]:
+        """Publish the demand, which the control looks at."""
+        return {"tau_ring": ring.tau, "omega_ring": ring.omega}
+
+    def ask_carrier(self, tau_command: Expr, omega_command: Expr) -> Shaft:
+        """Return the commanded point of the engine."""
+        return Shaft(tau_command, omega_command, 0.0)
+
+    def ask_sun(self, ring: Shaft, carrier: Shaft) -> Shaft:
+        """Return equations (1) and (2)."""
+        omega, alpha = (self.omega_sun(getattr(carrier, f), getattr(ring, f)) for f in ("omega", "alpha"))
+        return Shaft(-(1 - self.share) * carrier.tau, omega, alpha)
+
+    def ask_motor(self, ring: Shaft, carrier: Shaft) -> Shaft:
+        """Return equation (3)."""
+        return ring._replace(tau=ring.tau - self.share * carrier.tau)
+
+    def join(self, ring: Shaft, sun: Shaft, motor: Shaft) -> Shaft:
+        """Return equation (4)."""
+        return Shaft(motor.tau - self.p.r / self.p.s * sun.tau, motor.omega, ring.alpha)
+
+    @plant("carrier")
+    def divide(self, tau_carrier: Expr) -> Mapping[str, Any]:
+        """Return the torque that the carrier takes; at which speed is the engine's to say."""
+        return {"carrier": Shaft(tau_carrier, 0.0, 0.0)}
+
+    @plant("sun", "motor", "P_loss")
+    def flow(self, ring: Shaft, carrier: Shaft) -> Mapping[str, Any]:
+        """Return equations (1) to (3) in continuous time, at the speed and acceleration of the engine."""
+        sun, motor = self.ask_sun(ring, carrier), self.ask_motor(ring, carrier)
+        return {"sun": sun, "motor": motor, "P_loss": carrier.P + sun.P + motor.P - ring.P}
