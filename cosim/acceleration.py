@@ -42,7 +42,7 @@ class Acceleration(NamedTuple):
     time_hybrid: float | None
 
     def __repr__(self) -> str:
-        top = f"never reached, highest speed {self.result.highest['body.v'] * 3.6:.1f} km/h"
+        top = f"never reached, highest speed {self.result.highest[self.result.tags.the('speed')] * 3.6:.1f} km/h"
         said = top if self.time is None else f"{self.time:.3f} s"
         beside = "" if self.time_hybrid is None else f" (hybrid method {self.time_hybrid:.3f} s)"
         inputs = self.result.inputs
@@ -54,17 +54,16 @@ class Acceleration(NamedTuple):
 
 def prepared(vehicle: Vehicle) -> Vehicle:
     """Return the vehicle as the 1999 routine sets it for this test."""
-    overrides = {
-        "shift.t_shift": 0.2,
-        "control.launch_share": 0.4,
-        "battery.soc_start": vehicle.values.get("control.soc_high"),
-    }
-    return vehicle.with_values({name: x for name, x in overrides.items() if name in vehicle.values and x is not None})
+    tags, window = vehicle.tags, vehicle.tags.all_of("highest charge")
+    values = dict.fromkeys(tags.all_of("shift time"), 0.2) | dict.fromkeys(tags.all_of("launch share"), 0.4)
+    if window:
+        values |= dict.fromkeys(tags.all_of("start charge"), vehicle.values[window[0]])
+    return vehicle.with_values(values)
 
 
 def time_to(result: Result, v: float) -> float | None:
     """Return the time from the start of the first accelerating step to a speed [s]."""
-    speed, time = result["body.v"], result.time
+    speed, time = result.the("speed"), result.time
     above = np.flatnonzero(speed >= v)
     if not len(above):
         return None
@@ -118,7 +117,7 @@ def _reach(car: Vehicle, to: float, mode: Mode, via: Via, duration: float | None
     for held in DURATIONS if duration is None else (duration,):
         result = run(car, acceleration_cycle(REQUEST, t_start=T_START, duration=held), via=via, dt=DT, mode=mode)
         time = time_to(result, to)
-        v = result["body.v"]
+        v = result.the("speed")
         late = len(v) - len(v) // 10
         if time is not None or v[late:].max() - v[:late].max() < STEADY:
             break

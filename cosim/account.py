@@ -16,17 +16,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from halfshaft.library.base.tags import part_of
 from halfshaft.models.assembly import Description
 
 
 @dataclass(frozen=True)
 class Part:
-    """One row of the account [J]: what came from the source, what went toward the wheel, what was lost."""
+    """One row of the account [J]: what came from the source, what went toward the wheel, what was lost; `burns` where fuel comes in."""
 
     name: str
     received: float
     delivered: float
     lost: float
+    burns: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,15 +85,18 @@ def account(outputs: Sequence[Description], energies: Mapping[str, float]) -> Ac
             total[d.booking] = total.get(d.booking, 0.0) + energies[d.name]
         if d.booking == "loss":
             losses[d.name] = energies[d.name]
-    names = dict.fromkeys(d.name.split(".")[0] for d in outputs)
+    names = dict.fromkeys(part_of(d.name) for d in outputs)
+    entering = {booking: [d.name for d in outputs if d.booking == booking] for booking in ("fuel", "stored")}
     parts = []
     for name in names:
         own = {d.name: energies[d.name] for d in outputs if d.name.startswith(f"{name}.")}
         received = [x for n, x in own.items() if n.split(".")[1].startswith("P_in") and not n.endswith("required")]
-        received += [own[n] for n in (f"{name}.P_fuel", f"{name}.P_stored") if n in own]
+        received += [own[n] for names_in in entering.values() for n in names_in if n in own]
         lost = sum(x for n, x in own.items() if n in losses)
         if received or lost:
-            parts.append(Part(name, sum(received), own.get(f"{name}.P_out", 0.0), lost))
+            burns = any(n in own for n in entering["fuel"])
+            delivered = sum(x for n, x in own.items() if n.split(".")[1].startswith("P_out"))
+            parts.append(Part(name, sum(received), delivered, lost, burns))
     return Account(
         fuel=total.get("fuel", 0.0),
         battery=total.get("stored", 0.0),

@@ -115,11 +115,11 @@ class Auditor:
         self._limits: dict[str, list[tuple[int, int]]] = {name: [] for name in symbols.parts}
         self._powers: dict[str, list[int]] = {name: [] for name in symbols.parts}
         for c in model.connections:
-            point = self._point(c, row, outputs)
+            point = self._point(c, model, row, outputs)
             known["required", c.supply, c.supply_port.name] = known["available", c.supply, c.supply_port.name] = point
             self._limits[c.load] += self._pairs(c, model, outputs)
             for end in (c.load, c.supply):
-                self._powers[end].append(outputs[f"{c.supply}.P_out"])
+                self._powers[end].append(outputs[f"{c.supply}.P_out{model.endings(c)[0]}"])
         audits = [(b.part, key) for b in wiring.faces for name, key in b.gives.items() if name == "_audit"]
         values = wiring.evaluate(known, [key for _, key in audits])
         found = [(part, law, x) for part, key in audits for law, x in values[key].items()]
@@ -132,20 +132,20 @@ class Auditor:
         )
 
     @staticmethod
-    def _point(c: Connection, row: ca.SX, outputs: Mapping[str, int]) -> Any:
-        fields = SHOWN[c.supply_port.kind]
+    def _point(c: Connection, model: Model, row: ca.SX, outputs: Mapping[str, int]) -> Any:
+        fields, (ending, _) = SHOWN[c.supply_port.kind], model.endings(c)
         return c.supply_port.kind(*(
-            row[outputs[f"{c.supply}.{'P_out' if f == 'P' else f}"]] if f in fields else ca.SX.nan() for f in c.supply_port.kind._fields
+            row[outputs[f"{c.supply}.{'P_out' if f == 'P' else f}{ending}"]] if f in fields else ca.SX.nan()
+            for f in c.supply_port.kind._fields
         ))  # fmt: skip
 
     @staticmethod
     def _pairs(c: Connection, model: Model, outputs: Mapping[str, int]) -> list[tuple[int, int]]:
         """Return the places of what was required and of what was available at a connection."""
-        fields = [f for f in SHOWN[c.supply_port.kind] if f != "P"]
+        fields, (at_supply, at_load) = [f for f in SHOWN[c.supply_port.kind] if f != "P"], model.endings(c)
         if fields:
-            return [(outputs[f"{c.supply}.{f}_required"], outputs[f"{c.supply}.{f}"]) for f in fields]
-        several = sum(other.load == c.load for other in model.connections) > 1
-        place = f"{c.load}.P_in{f'_{c.load_port.name}' if several else ''}"
+            return [(outputs[f"{c.supply}.{f}{at_supply}_required"], outputs[f"{c.supply}.{f}{at_supply}"]) for f in fields]
+        place = f"{c.load}.P_in{at_load}"
         return [(outputs[f"{place}_required"], outputs[place])] if f"{place}_required" in outputs else []
 
     def __call__(self, samples: Samples, rows: Array, start: Array, parameters: Array) -> Audit:
@@ -169,7 +169,7 @@ class Auditor:
         before = np.vstack([first, rows[:-1]])
         requests = np.column_stack([self._slope(before, rows) if samples.grade_by_distance else samples.grade, samples.key_on, dt])
         residuals = np.asarray(self._run(rows.T, before.T, requests.T, parameters)).T
-        missed = before[:, places["body.trace_miss"]] > 0
+        missed = before[:, places[self._step.tags.the("miss")]] > 0
         checks = []
         for i, (part, law, assumed) in enumerate(self._laws):
             scale = float(np.abs(rows[:, self._powers[part]]).max(initial=0.0))
@@ -190,6 +190,6 @@ class Auditor:
 
     def _slope(self, before: Array, rows: Array) -> Array:
         """Return the grade on which the vehicle moved, from its states; where it stands, none."""
-        i, j = (self._step.output_index[name] for name in ("body.distance", "body.elevation"))
+        i, j = (self._step.output_index[self._step.tags.the(tag)] for tag in ("distance", "elevation"))
         moved, climbed = rows[:, i] - before[:, i], rows[:, j] - before[:, j]
         return np.divide(climbed, np.sqrt(np.maximum(moved**2 - climbed**2, 1e-300)), out=np.zeros(len(rows)), where=moved > 0)

@@ -68,7 +68,7 @@ def _march(slave: _Slave, step: Step, samples: Samples, parameters: Array, dt: f
     slave.initialize([d.name for d in step.parameters], parameters)
     requests = slave.references([d.name for d in step.requests[:3]])
     outputs = slave.references([d.name for d in step.outputs])
-    distance = step.output_index["body.distance"]
+    distance = step.output_index[step.tags.the("distance")]
     travelled = slave.get(outputs)[distance]
     for k in range(len(rows)):
         grade = samples.grade[k] if samples.grade_by_distance is None else _grade_at(travelled, samples.grade_by_distance)

@@ -391,7 +391,7 @@ class _Checks:
         from halfshaft.models.vehicle import Vehicle
 
         car = self.take(lambda: Vehicle.load(name))
-        given: list[tuple[str, float | str]] = [] if mass is None else [("body.m", mass)]
+        given: list[tuple[str, float | str]] = [] if mass is None or car is None else [(car.tags.the("vehicle mass"), mass)]
         for text in values or ():
             key, sign, value = text.partition("=")
             if not (key.strip() and sign and value.strip()):
@@ -399,10 +399,10 @@ class _Checks:
                 continue
             given.append((key.strip(), _number_or_text(value.strip())))
         if soc is not None:
-            if car is not None and "battery.soc_start" not in car.values:
+            stores = [] if car is None else car.tags.all_of("start charge")
+            if car is not None and not stores:
                 self.problem(f"--soc {soc:g}: vehicle '{car.name}' has no battery")
-            else:
-                given.append(("battery.soc_start", soc))
+            given += [(name, soc) for name in stores]
         names = [key for key, _ in given]
         self.problem(*(f"{key} is set {names.count(key)} times" for key in dict.fromkeys(names) if names.count(key) > 1))
         return None if car is None else self.take(lambda: car.with_values(dict(given)))

@@ -259,7 +259,7 @@ def print_acceleration(car: Vehicle, to: float, runs: Mapping[str, Acceleration]
         table.add_row(*row)
     out.print(table)
     if first.time is None:
-        top, duration = first.result.highest["body.v"], first.result.figures["duration_s"]
+        top, duration = first.result.highest[first.result.tags.the("speed")], first.result.figures["duration_s"]
         out.print(f"  [yellow]highest speed {shown('speed', top, units, 1)} within {duration:g} s[/]")
 
 

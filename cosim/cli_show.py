@@ -16,7 +16,7 @@ from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import described
 from halfshaft.library.base.tables import Table as Map
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 from halfshaft.library.files.component_file import LARGEST, ComponentFile, component_names, read_component
 from halfshaft.library.files.texts import read_text
 from halfshaft.models.powertrain import powertrains
@@ -38,7 +38,7 @@ def print_list(what: str, kind: str | None = None) -> None:
 
 def _vehicle_rows() -> Rows:
     vehicles = [Vehicle.load(name) for name in vehicle_names()]
-    return ["vehicle", "powertrain", "mass \\[kg]", "title"], [[v.name, v.powertrain, f"{v.values['body.m']:g}", v.title] for v in vehicles]
+    return ["vehicle", "powertrain", "mass \\[kg]", "title"], [[v.name, v.powertrain, f"{v.mass:g}", v.title] for v in vehicles]
 
 
 def _component_rows(kind: str | None) -> Rows:
@@ -113,7 +113,7 @@ def _find(name: str) -> Vehicle | Cycle | ComponentFile:
 
 def _is_component(path: Path) -> bool:
     try:
-        return tomllib.loads(read_text(path, LARGEST)).get("kind") in KINDS
+        return tomllib.loads(read_text(path, LARGEST)).get("kind") in component_kinds()
     except (InputError, ValueError, RecursionError, TypeError):
         return False  # the reader of vehicles says what is wrong
 

@@ -170,14 +170,15 @@ class CompiledStep:
 
     def __init__(self, step: Step) -> None:
         self.step = step
+        the = step.tags.the
         positions = {
-            "HS_X_V": step.state_index["body.v"],
-            "HS_X_DISTANCE": step.state_index["body.distance"],
-            "HS_X_MISSED": step.state_index["body.trace_missed"],
-            "HS_P_MISS": step.parameter_index["body.v_miss"],
-            "HS_Y_REQUEST": step.output_index["body.v_request"],
-            "HS_Y_MISS": step.output_index["body.trace_miss"],
-            "HS_Y_OVERSPEED": step.output_index["body.overspeed"],
+            "HS_X_V": step.state_index[the("speed")],
+            "HS_X_DISTANCE": step.state_index[the("distance")],
+            "HS_X_MISSED": step.state_index[the("missed")],
+            "HS_P_MISS": step.parameter_index[the("miss threshold")],
+            "HS_Y_REQUEST": step.output_index[the("request")],
+            "HS_Y_MISS": step.output_index[the("miss")],
+            "HS_Y_OVERSPEED": step.output_index[the("overspeed")],
         }
         defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
         decisions = [*step.decisions, -1]
@@ -271,7 +272,7 @@ class InterpretedStep:
         samples = _read_by_c(samples)
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = self.first(parameters) if state is None else _doubles("state", state, len(self.step.states))
-        distance = self.step.state_index["body.distance"]
+        distance = self.step.state_index[self.step.tags.the("distance")]
         rows = np.empty((len(samples.t), len(self.step.outputs)))
         for k, (v, grade, key_on, dt) in enumerate(zip(samples.v, samples.grade, samples.key_on, samples.dt, strict=True)):
             if samples.grade_by_distance:

@@ -77,7 +77,7 @@ def facts(result: Result, units: Units = "metric") -> list[tuple[str, str]]:
 
 def energy_rows(account: Account) -> list[Row]:
     """Return the lines of the energy table, from the source to the wheel, and what became of the energy."""
-    parts: list[Part] = sorted(reversed(account.parts), key=lambda part: part.name != "engine")
+    parts: list[Part] = sorted(reversed(account.parts), key=lambda part: not part.burns)
     rows = []
     for part in parts:
         both = part.received > 0 and part.delivered > 0
@@ -142,7 +142,7 @@ def in_html(result: Result) -> str:
     drawn = ""
     if result.has_history and len(result.time):
         # A request that nobody can follow must not flatten what was achieved.
-        v = result["body.v"]
-        asked = np.minimum(result["body.v_request"], 1.15 * max(float(v.max()), 1.0))
+        v = result.the("speed")
+        asked = np.minimum(result.the("request"), 1.15 * max(float(v.max()), 1.0))
         drawn = curve(result.time, (("#b0b0b0", asked), ("#0072B2", v)))
     return f"{head}{table(facts(result))}{f'<ul>{notes}</ul>' if notes else ''}{drawn}"

@@ -72,6 +72,9 @@ class Forward:
         except CompileError:
             functions = interpolants(tables)
         self.plant: Plant = assemble_plant(model, self.stepper.step, functions)
+        places, the = [d.name for d in self.plant.states], self.stepper.step.tags.the
+        #: Places of speed, distance and elevation in the state.
+        self._motion = [places.index(the(tag)) for tag in ("speed", "distance", "elevation")]
         x, z, p, alg = (self.plant.dae[name] for name in ("x", "z", "p", "alg"))
         self._rates = ca.Function("rates", [x, z, p], [self.plant.dae["ode"]])
         self._balance = ca.Function("balance", [z, x, p], [alg, ca.jacobian(alg, z)])
@@ -101,20 +104,18 @@ class Forward:
 
         """
         step, plant, driver = self.stepper.step, self.plant, self.driver
+        tags = step.tags
         parameters = np.array(parameters, dtype=float)
-        for name, least in (("shift.t_shift", driver.t_shift), ("shift.t_hold", driver.t_hold)):
-            if name in step.parameter_index:
-                i = step.parameter_index[name]
+        for names, least in ((tags.all_of("shift time"), driver.t_shift), (tags.all_of("hold time"), driver.t_hold)):
+            for i in (step.parameter_index[name] for name in names):
                 parameters[i] = max(parameters[i], least)
         memory = self.stepper.first(parameters)
         places = np.array([step.state_index[m] for m in plant.memories])
         held_at = np.array([step.output_index[name] for name in plant.held])
-        miss = step.output_index["body.trace_miss"]
-        distance = [d.name for d in plant.states].index("body.distance")
-        elevation = [d.name for d in plant.states].index("body.elevation")
-        speed = [d.name for d in plant.states].index("body.v")
-        brakes = [i for i, name in enumerate(plant.held) if name.startswith("wheel.F_brake")]
-        weight = np.array([step.parameter_index[f"body.{name}"] for name in ("m", "g")])
+        miss = step.output_index[tags.the("miss")]
+        speed, distance, elevation = self._motion
+        brakes = [i for i, name in enumerate(plant.held) if tags.get(name) == "brake force"]
+        m, g = (parameters[step.parameter_index[tags.the(tag)]] for tag in ("vehicle mass", "gravity"))
 
         x, z, integral = memory[places].copy(), np.zeros(plant.dae["z"].numel()), 0.0
         x_start = x.copy()
@@ -123,12 +124,12 @@ class Forward:
         rows = np.empty((n, len(plant.shown)))
         for k in range(n):
             dt = samples.dt[k]
-            error = v_before - x[0]
+            error = v_before - x[speed]
             a_asked = (samples.v[k] - v_before) / dt + driver.k_p * error + driver.k_i * integral
             grade = np.interp(x[distance], *samples.grade_by_distance) if samples.grade_by_distance else samples.grade[k]
             memory[places] = x
-            asked = max(0.0, x[0] + a_asked * dt)
-            stopped = samples.v[k] == 0 and x[0] < driver.v_stop
+            asked = max(0.0, x[speed] + a_asked * dt)
+            stopped = samples.v[k] == 0 and x[speed] < driver.v_stop
             if stopped:
                 asked = 0.0
             # The step knows no negative speed.
@@ -145,10 +146,9 @@ class Forward:
             rows[k] = np.array(self.plant.outputs(x, z, p)).ravel()
             v_before = samples.v[k]
         energies = {d.name: float(q) for d, q in zip(plant.powers, quads, strict=True)}
-        m, g = parameters[weight]
         # The states know these better than the integrals of their rates do.
-        energies["body.P_kinetic"] = 0.5 * m * (x[0] ** 2 - x_start[0] ** 2)
-        energies["body.P_climb"] = m * g * (x[elevation] - x_start[elevation])
+        energies[tags.the("vehicle kinetic power")] = 0.5 * m * (x[speed] ** 2 - x_start[speed] ** 2)
+        energies[tags.the("vehicle climbing power")] = m * g * (x[elevation] - x_start[elevation])
         return ForwardRun(samples.t, rows, energies, x)
 
     def _interval(self, x: Array, z: Array, p: Array, t: float, span: float) -> tuple[Array, Array, Array]:
@@ -216,7 +216,7 @@ class Forward:
         return z
 
     def _error(self, x: Array, t: float, message: str) -> SolveError:
-        return SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[0]:g} m/s: {message}")
+        return SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[self._motion[0]]:g} m/s: {message}")
 
 
 def _interrupt(said: io.StringIO) -> None:

@@ -14,10 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfshaft.cosim.cycle import Array, Cycle
-from halfshaft.library.electric.battery import BatteryParameters
-from halfshaft.library.electric.motor import MotorParameters
 from halfshaft.library.files.component_file import ComponentFile
-from halfshaft.library.ratings import pack_energy, peak_power
 from halfshaft.models.vehicle import Vehicle
 
 #: Packages whose version may move a result.
@@ -39,10 +36,11 @@ class Text(NamedTuple):
 
 
 class Ratings(NamedTuple):
-    """Energy of all batteries and peak power of all motors of a vehicle; None if it has none."""
+    """Energy of all batteries and peak power of all motors of a vehicle; None if it has none; the energies by part."""
 
     pack_energy_J: float | None = None
     motor_power_max_W: float | None = None
+    energies_J: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ class Origin:
     versions
         Of Python and of the packages that make the numbers.
     ratings
-        What the vehicle's battery and motor are rated at.
+        What the vehicle's batteries and motors are rated at.
 
     """
 
@@ -106,11 +104,10 @@ class Made:
 
     @cached_property
     def ratings(self) -> Ratings:
-        """What the vehicle's battery and motor are rated at."""
-        sets = self.vehicle.parameters.values()
-        energies = [pack_energy(p) for p in sets if isinstance(p, BatteryParameters)]
-        powers = [peak_power(p) for p in sets if isinstance(p, MotorParameters)]
-        return Ratings(sum(energies) if energies else None, sum(powers) if powers else None)
+        """What the vehicle's batteries and motors are rated at."""
+        rated = {role: p.ratings() for role, p in self.vehicle.parameters.items()}
+        energies, powers = ({role: r[what] for role, r in rated.items() if what in r} for what in ("energy", "traction power"))
+        return Ratings(sum(energies.values()) if energies else None, sum(powers.values()) if powers else None, energies)
 
     @cached_property
     def origin(self) -> Origin:

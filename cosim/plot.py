@@ -23,6 +23,7 @@ from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.result import Result
 from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.base.tags import part_of
 from halfshaft.library.files.writing import source_date, written_whole
 
 #: Formats by the ending of the file.
@@ -42,13 +43,6 @@ STYLE: Any = {
 EDGE = {"W": ("kW", 1e-3, 0.0), "m/s": ("km/h", 3.6, 0.0), "K": ("\u00b0C", 1.0, -273.15), "J": ("Wh", 1 / 3600, 0.0)}
 #: Units of the time axis by the length that they are good for [s].
 _TIMES = ((1800.0, "s", 1.0), (3 * 3600.0, "min", 60.0), (float("inf"), "h", 3600.0))
-_LOSSES = {
-    "body.P_aero": "air drag",
-    "body.P_roll": "rolling resistance",
-    "wheel.P_brake": "friction brakes",
-    "wheel.P_slip": "tyre slip",
-    "wheel.P_bearing": "wheel bearings",
-}
 _KINDS = {"lost": _ORANGE, "stored": _BLUE, "error of the method": "#a6a6a6"}
 #: Losses below this share of the turnover are summed up; other lines below that one are left out.
 _SMALL, _TINY = 0.005, 5e-4
@@ -193,41 +187,34 @@ def _labels(results: Sequence[Result]) -> list[str]:
 
 
 def _parts(results: Sequence[Result], booking: str) -> list[str]:
-    """Return the parts whose power is booked so: ``fuel`` finds engines, ``stored`` batteries."""
-    return list(dict.fromkeys(d.name.partition(".")[0] for r in results for d in r.outputs if d.booking == booking))
+    """Return the parts whose power is booked so: ``fuel`` finds engines and fuel cells, ``stored`` batteries."""
+    return list(dict.fromkeys(part_of(d.name) for r in results for d in r.outputs if d.booking == booking))
 
 
 def _powers(results: Sequence[Result]) -> list[tuple[str, str, str]]:
     """Return name, label and colour of the powers that tell most: of sources, and into the machine that a store feeds."""
     sources, stores = _parts(results, "fuel"), _parts(results, "stored")
-    machines = []
-    for r in results:
-        turning = [d.name.removesuffix(".tau") for d in r.outputs if d.name.endswith(".tau")]
-        machines += [part for part in turning if part not in sources][-1:] if _parts([r], "stored") else []
+    inputs = dict.fromkeys(name for r in results for name in r.tags.all_of("traction input"))
     found = [(f"{part}.P_out", part, _RED) for part in sources]
-    found += [(f"{part}.P_in", f"{part} input", _BLUE) for part in dict.fromkeys(machines)]
+    found += [(name, f"{part_of(name)} input", _BLUE) for name in inputs]
     found += [(f"{part}.P_out", part, _GREEN) for part in stores]
     return [(name, label.replace("_", " "), colour) for name, label, colour in found]
-
-
-def _gears(result: Result) -> list[str]:
-    return [d.name for d in result.outputs if d.kind == "count" and d.name.endswith(".gear")]
 
 
 def _panels(runs: _Runs) -> dict[str, _Panel]:
     """Return all panels that the runs have."""
     results = runs.results
     panels = {"speed": _Panel(2.2, 0.42, lambda ax: _speed(ax, runs))}
-    if any(np.ptp(r["body.elevation"]) > 0 for r in results):
+    if any(np.ptp(r.the("elevation")) > 0 for r in results):
         panels["grade"] = _Panel(0.8, 0.3, lambda ax: _grade(ax, runs))
     powers = _powers(results)
     if runs.one:
         panels["power"] = _Panel(1.8, 0.42, lambda ax: _power(ax, runs, powers))
     else:
         panels |= {name: _output_panel(runs, name, label) for name, label, _ in powers}
-    if _parts(results, "stored"):
+    if any(r.tags.all_of("charge") for r in results):
         panels["charge"] = _Panel(1.15, 0.3, lambda ax: _charge(ax, runs))
-    if any(_gears(r) for r in results):
+    if any(r.tags.all_of("gear") for r in results):
         panels["gear"] = _Panel(1.15, 0.3, lambda ax: _gear(ax, runs))
     bars = [_bars(r) for r in results]
     lines = len(dict.fromkeys(bar.label for of_run in bars for bar in of_run))
@@ -338,16 +325,16 @@ def _over_time(ax: Axes, runs: _Runs, label: str) -> None:
 
 
 def _speed(ax: Axes, runs: _Runs) -> None:
-    fastest = max(float(r["body.v"].max()) for r in runs.results) * 3.6
-    asked = max(float(r["body.v_request"].max()) for r in runs.results) * 3.6
+    fastest = max(float(r.the("speed").max()) for r in runs.results) * 3.6
+    asked = max(float(r.the("request").max()) for r in runs.results) * 3.6
     requests: list[tuple[Array, Array]] = []
     for i, (r, t, colour, _) in enumerate(runs.coloured()):
-        wanted, achieved = 3.6 * r["body.v_request"], 3.6 * r["body.v"]
+        wanted, achieved = 3.6 * r.the("request"), 3.6 * r.the("speed")
         if not any(len(t) == len(other) and np.array_equal(wanted, v) for other, v in requests):
             requests.append((t, wanted))
             ax.plot(t, wanted, color="#a6a6a6", lw=2.4, label="requested" if len(requests) == 1 else None)
         ax.plot(t, achieved, color=colour, lw=1.1, label="achieved" if runs.one else None)
-        missed = wanted - achieved > 3.6 * r.inputs.parameters["body.v_miss"]
+        missed = wanted - achieved > 3.6 * r.inputs.parameters[r.tags.the("miss threshold")]
         if missed.any():
             begin = np.concatenate([[_start(r) * runs.second], t[:-1]])
             steps = list(zip(begin[missed].tolist(), (t - begin)[missed].tolist(), strict=True))
@@ -362,7 +349,7 @@ def _speed(ax: Axes, runs: _Runs) -> None:
 
 def _grade(ax: Axes, runs: _Runs) -> None:
     for r, t, colour, _ in runs.coloured():
-        ahead, up = np.diff(r["body.distance"], prepend=0.0), np.diff(r["body.elevation"], prepend=0.0)
+        ahead, up = (np.diff(r.the(tag), prepend=0.0) for tag in ("distance", "elevation"))
         flat = np.sqrt(np.maximum(ahead**2 - up**2, 0.0))
         # A vehicle that stands tells no grade.
         grade = np.divide(100 * up, flat, out=np.full(len(t), np.nan), where=flat > 1e-3)
@@ -401,7 +388,7 @@ def _output(ax: Axes, runs: _Runs, name: str, label: str) -> None:
 def _charge(ax: Axes, runs: _Runs) -> None:
     low, high = [], []
     for r, t, colour, _ in runs.coloured():
-        for name in (f"{part}.soc" for part in _parts([r], "stored")):
+        for name in r.tags.all_of("charge"):
             soc = 100 * np.concatenate([[r.first[name]], r[name]])
             ax.plot(np.concatenate([[_start(r) * runs.second], t]), soc, color=_GREEN if runs.one else colour, lw=1.5)
             low.append(soc.min())
@@ -415,7 +402,7 @@ def _charge(ax: Axes, runs: _Runs) -> None:
 
 def _gear(ax: Axes, runs: _Runs) -> None:
     for r, t, colour, _ in runs.coloured():
-        for name in _gears(r):
+        for name in r.tags.all_of("gear"):
             ax.step(t, r[name], where="pre", color=_GREEN if runs.one else colour, lw=1.0)
     low, high = ax.dataLim.intervaly
     ax.set_ylim(low - 0.5, high + 0.5)
@@ -434,7 +421,7 @@ def _bars(result: Result) -> list[_Bar]:
     a = result.account
     losses: dict[str, float] = {}
     for name, x in a.losses.items():
-        label = "other" if abs(x) < _SMALL * a.turnover else _LOSSES.get(name, name.split(".")[0].replace("_", " "))
+        label = "other" if abs(x) < _SMALL * a.turnover else result.tags.get(name, part_of(name).replace("_", " "))
         losses[label] = losses.get(label, 0.0) + x
     bars = [_Bar(label, x, "lost") for label, x in sorted(losses.items(), key=lambda item: (item[0] == "other", -item[1])) if x]
     rest = [

@@ -1,7 +1,7 @@
 """What a user should know about a run: what was missed, which limit acted, when, and what it cost.
 
-What is looked for stands in `LIMITS`, over the last part of an output's name, so any number of batteries, motors or
-wheels is covered.  Where a run kept its time series, times and energies are told; without them, the time in all.
+Which flags warn, and in which words, stands with the components that raise them; `LOOKS` says of some how to look closer.  Where
+a run kept its time series, times and energies are told; without them, the time in all.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ import numpy.typing as npt
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.units import Units, shown
+from halfshaft.library.base.tags import part_of
 from halfshaft.library.electric.battery import SOC_FULL
 
 if TYPE_CHECKING:
     from halfshaft.cosim.result import Result
+    from halfshaft.models.assembly import Description
 
 #: Relative residual of the energy account from which a run is doubtful.
 OPEN_BALANCE = 1e-6
@@ -38,14 +40,6 @@ class Found(NamedTuple):
     cost: str
 
 
-class Limit(NamedTuple):
-    """A flag by the last part of its name, what it means, and how to look closer."""
-
-    flag: str
-    text: str
-    look: Callable[[Result, str], Iterator[Found]]
-
-
 def _power_missing(result: Result, part: str) -> Array | None:
     """Return what is asked of a part less what it gives, as its neighbour toward the wheel books it [W]."""
     names = [d.name for d in result.outputs]
@@ -58,9 +52,10 @@ def _power_missing(result: Result, part: str) -> Array | None:
     return None
 
 
-def _battery(result: Result, part: str) -> Iterator[Found]:
-    soc = np.concatenate([[result.first.get(f"{part}.soc", np.nan)], result[f"{part}.soc"][:-1]])
-    acts, missing = result[f"{part}.battery_limited"] > 0, _power_missing(result, part)
+def _store(result: Result, part: str, acts: Mask) -> Iterator[Found]:
+    name = result.tags.by_part("charge")[part]
+    soc = np.concatenate([[result.first.get(name, np.nan)], result[name][:-1]])
+    missing = _power_missing(result, part)
     discharging = missing > 0 if missing is not None else result[f"{part}.P_out"] > 0
     yield Found("empty", acts & discharging & (soc <= SOC_EMPTY), missing, "not given")
     yield Found("lowest voltage", acts & discharging & (soc > SOC_EMPTY), missing, "not given")
@@ -68,14 +63,16 @@ def _battery(result: Result, part: str) -> Iterator[Found]:
     yield Found("highest voltage", acts & ~discharging & (soc < SOC_FULL), missing, "not taken")
 
 
-def _grip(result: Result, part: str) -> Iterator[Found]:
-    acts, cut = result[f"{part}.slip_limited"] > 0, result["body.F_required"] - result[f"{part}.F_limited"]
-    power = cut * result[f"{part}.v_limited"]
+def _grip(result: Result, part: str, acts: Mask) -> Iterator[Found]:
+    force, speed = (result[result.tags.by_part(tag)[part]] for tag in ("grip force", "grip speed"))
+    cut = result.the("asked force") - force
+    power = cut * speed
     yield Found("driving", acts & (cut > 0), power, "not put on the road")
     yield Found("braking", acts & (cut < 0), power, "not braked")
 
 
-LIMITS = (Limit("slip_limited", "grip limit", _grip), Limit("battery_limited", "battery limit", _battery))
+#: How to look closer at a flag, by its tag: from the run, the flag's part, and the steps in which it is up.
+LOOKS: dict[str, Callable[[Result, str, Mask], Iterator[Found]]] = {"grip limit": _grip, "store limit": _store}
 
 
 def remarks(result: Result, units: Units = "metric") -> tuple[str, ...]:
@@ -93,64 +90,84 @@ def _when(result: Result, steps: Mask) -> str:
 
 
 def _missed(result: Result, units: Units) -> Iterator[str]:
-    most, allowed = result.highest["body.trace_miss"], result.inputs.parameters["body.v_miss"]
+    name, allowed = result.tags.the("miss"), _allowed(result)
+    most = result.highest[name]
     if not most > allowed:
         return
     text = f"trace missed by up to {shown('speed', most, units, 1)}"
     if result.has_history:
-        miss = result["body.trace_miss"]
+        miss = result[name]
         text += f" at t = {result.time[int(miss.argmax())]:g} s"
         steps = miss > allowed
         if steps.sum() > 1:
             text += f" ({_when(result, steps)})"
-    yield f"{text}; {shown('way', result.energies['body.trace_miss'], units)} short of the request"
+    yield f"{text}; {shown('way', result.energies[name], units)} short of the request"
 
 
 def _too_fast(result: Result, units: Units) -> Iterator[str]:
-    most, allowed = result.highest.get("body.overspeed", 0.0), result.inputs.parameters["body.v_miss"]
-    if most > allowed:
-        text = f"too fast for the trace by up to {shown('speed', most, units, 1)}"
-        yield f"{text} at t = {result.time[int(result['body.overspeed'].argmax())]:g} s" if result.has_history else text
+    for name in (n for n in result.tags.all_of("overspeed") if result.highest[n] > _allowed(result)):
+        text = f"too fast for the trace by up to {shown('speed', result.highest[name], units, 1)}"
+        yield f"{text} at t = {result.time[int(result[name].argmax())]:g} s" if result.has_history else text
+
+
+def _allowed(result: Result) -> float:
+    """Return the miss of a trace that is none yet [m/s]."""
+    return result.inputs.parameters[result.tags.the("miss threshold")]
+
+
+def _shown(part: str) -> str:
+    return part.replace("_", " ")
+
+
+def _raised(result: Result) -> Iterator[tuple[Description, str]]:
+    """Yield the flags that were up and what they warn of; where several parts may warn of the same, with the part."""
+    texts = [d.warning for d in result.outputs]
+    for d in result.outputs:
+        if d.warning and result.highest.get(d.name, 0) > 0:
+            part = _shown(part_of(d.name))
+            text = d.warning.format(part=part)
+            yield d, f"{part}: {text}" if texts.count(d.warning) > 1 and text == d.warning else text
 
 
 def _limits(result: Result, units: Units) -> Iterator[str]:
-    for limit in LIMITS:
-        for name in (d.name for d in result.outputs if d.name.endswith(f".{limit.flag}")):
-            if not result.highest.get(name, 0) > 0:
+    for d, text in _raised(result):
+        if d.tag not in LOOKS:
+            continue
+        if not result.has_history:
+            yield f"{text}: {result.energies[d.name]:.4g} s in all"
+            continue
+        for found in LOOKS[d.tag](result, part_of(d.name), result[d.name] > 0):
+            if not found.steps.any():
                 continue
-            if not result.has_history:
-                yield f"{limit.text} reached: {result.energies[name]:.4g} s in all"
-                continue
-            for found in limit.look(result, name.split(".")[0]):
-                if not found.steps.any():
-                    continue
-                cost = ""
-                if found.power is not None:
-                    energy = abs(float((found.power * result.dt)[found.steps].sum()))
-                    cost = f"; {shown('small energy', energy, units)} {found.cost}"
-                yield f"{limit.text} reached, {found.what}: {_when(result, found.steps)}{cost}"
+            cost = ""
+            if found.power is not None:
+                energy = abs(float((found.power * result.dt)[found.steps].sum()))
+                cost = f"; {shown('small energy', energy, units)} {found.cost}"
+            yield f"{text}, {found.what}: {_when(result, found.steps)}{cost}"
 
 
 def _speeds(result: Result) -> Iterator[str]:
-    """Yield which parts turn at a top speed of their own."""
-    p = result.inputs.parameters
-    for part in [name.removesuffix(".omega_max") for name in p if name.endswith(".omega_max")]:
-        top, name = p[f"{part}.omega_max"] * p[f"{part}.speed_scale"] * (1 - 1e-9), f"{part}.omega"
+    """Yield which parts turn at a top speed of their own, and what else parts warn of."""
+    p, tags = result.inputs.parameters, result.tags
+    highest, scales = tags.by_part("top speed"), tags.by_part("speed scale")
+    for part, name in tags.by_part("machine speed").items():
+        top = p[highest[part]] * p[scales[part]] * (1 - 1e-9)
         if result.highest.get(name, 0) >= top:
             when = f": {_when(result, result[name] >= top)}" if result.has_history else ""
-            yield f"{part.replace('_', ' ')} at its top speed{when}"
-    for name in (d.name for d in result.outputs if d.name.endswith(".speed_limited") and result.highest[d.name] > 0):
-        when = f": {_when(result, result[name] > 0)}" if result.has_history else ""
-        yield f"{name.split('.')[0].replace('_', ' ')} at its top speed{when}"
+            yield f"{_shown(part)} at its top speed{when}"
+    for d, text in _raised(result):
+        if d.tag not in LOOKS:
+            yield f"{text}: {_when(result, result[d.name] > 0)}" if result.has_history else text
 
 
 def _energies(result: Result, units: Units) -> Iterator[str]:
-    for name, end in result.last.items():
-        if name.endswith(".soc") and end < SOC_EMPTY:
-            yield f"{name.split('.')[0].replace('_', ' ')} empty"
-    burns, a, s = any(d.booking == "fuel" for d in result.outputs), result.account, result.figures
+    for part, name in result.tags.by_part("charge").items():
+        if result.last[name] < SOC_EMPTY:
+            yield f"{_shown(part)} empty"
+    a, s = result.account, result.figures
+    burns = dict.fromkeys(_shown(part_of(d.name)) for d in result.outputs if d.booking == "fuel")
     if burns and a.fuel == 0:
-        yield "no fuel used: the engine never ran"
+        yield f"no fuel used: the {' and the '.join(burns)} never ran"
     if burns and abs(a.battery) > UNBALANCED * a.fuel:
         gave = "gave" if a.battery > 0 else "took"
         text = f"the battery {gave} {shown('energy', abs(a.battery), units)}, which the fuel economy leaves out"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from halfshaft.cosim import older
 from halfshaft.cosim.account import Account, account
 from halfshaft.cosim.audit import Audit
 from halfshaft.cosim.compiled import Array
@@ -19,6 +20,7 @@ from halfshaft.cosim.origin import Made, Origin, Ratings
 from halfshaft.cosim.remarks import remarks
 from halfshaft.cosim.units import mpg, mpge
 from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.base.tags import Tag, Tags
 from halfshaft.library.files.texts import open_regular
 from halfshaft.library.files.writing import written_whole
 from halfshaft.models.assembly import Description
@@ -26,10 +28,8 @@ from halfshaft.models.assembly import Description
 if TYPE_CHECKING:
     import xarray as xr
 
-#: What a saved run is written as; 1 had no origin.
-FORMAT = 2
-#: Parts that make electricity of fuel.
-GENERATORS = ("generator",)
+#: What a saved run is written as; 1 had no origin, 2 no tags.
+FORMAT = 3
 #: Efficiency of a genset that did not run, or hardly: that of the library's small cars is 0.31 on HWFET.
 GENSET_NOMINAL = 0.30
 #: Fuel over the battery's energy from which a run knows its genset's efficiency.
@@ -48,6 +48,8 @@ class Inputs:
     dt: float
     version: str
     parameters: Mapping[str, float]
+    #: What the parameters are, by name.
+    tags: Mapping[str, str] = field(default_factory=dict, repr=False)
     #: Whether the step ran as machine code.
     compiled: bool = True
     #: Hashes of the cycle and of the parts by role; empty for files of version 0.1.
@@ -73,7 +75,7 @@ class Result:
     highest
         Maximum of every output.
     first, last
-        Speed and state of charge at start and end, by output name; `first` has the time too.
+        Outputs at start and end, by name; `first` has the time too, and of the outputs speed, charges and temperatures.
     made
         What the run was made of; None for files of version 0.1.
     notes
@@ -111,6 +113,15 @@ class Result:
 
     def _repr_html_(self) -> str:
         return in_html(self)
+
+    @cached_property
+    def tags(self) -> Tags:
+        """What outputs and parameters are, whatever their parts are called."""
+        return Tags({**self.inputs.tags, **Tags.of(self.outputs)})
+
+    def the(self, tag: Tag) -> Array:
+        """Return the time series of the one output with a tag, shape ``(n,)``."""
+        return self[self.tags.the(tag)]
 
     @property
     def has_history(self) -> bool:
@@ -186,8 +197,15 @@ class Result:
 
     @cached_property
     def figures(self) -> dict[str, Any]:
-        """The main numbers, SI or the unit in the names' endings; None is what the vehicle does not have."""
-        distance, a = self.last["body.distance"], self.account
+        """The main numbers, SI or the unit in the names' endings; None is what the vehicle does not have.
+
+        Of several engines, fuel cells, motors or batteries fuels, energies and powers are sums; the state of charge is the mean
+        of all packs, each weighted by its rated energy.
+        """
+        tags, a, ratings = self.tags, self.account, self.made.ratings if self.made else Ratings()
+        distance = self.last[tags.the("distance")]
+        inputs = [self.energies[name] for name in tags.all_of("traction input")]
+        too_slow, too_fast = (max((self.highest[name] for name in tags.all_of(tag)), default=0.0) for tag in ("miss", "overspeed"))
         out: dict[str, Any] = {
             "distance_m": distance,
             "duration_s": float(self.time[-1]) - self.t_start if len(self.time) else 0.0,
@@ -196,12 +214,13 @@ class Result:
             "energy_Wh_per_km": None,
             "energy_MPGe": None,
             "range_m": None,
-            **(self.made.ratings if self.made else Ratings())._asdict(),
-            "motor_input_J": self.energies.get("motor.P_in"),
-            "soc_start": self.first.get("battery.soc"),
-            "soc_end": self.last.get("battery.soc"),
-            "trace_miss_max_mps": max(self.highest["body.trace_miss"], 0.0) if len(self.time) else 0.0,
-            "overspeed_max_mps": max(self.highest.get("body.overspeed", 0.0), 0.0) if len(self.time) else 0.0,
+            "pack_energy_J": ratings.pack_energy_J,
+            "motor_power_max_W": ratings.motor_power_max_W,
+            "motor_input_J": sum(inputs) if inputs else None,
+            "soc_start": _charge(self, self.first),
+            "soc_end": _charge(self, self.last),
+            "trace_miss_max_mps": max(too_slow, 0.0) if len(self.time) else 0.0,
+            "overspeed_max_mps": max(too_fast, 0.0) if len(self.time) else 0.0,
             "balance_relative": a.balance_relative,
             "speed_mismatch_relative": a.mismatch_relative,
         }
@@ -273,6 +292,8 @@ class Result:
                     written = plain.get("format", 1)
                     if written > FORMAT:
                         raise InputError(str(path), [f"is a result of format {written}, this version reads up to {FORMAT}"])
+                    if written < FORMAT:
+                        older.add_tags(plain)
                     outputs = tuple(Description(*d) for d in plain["outputs"])
                     history = np.stack([data[d.name][()] for d in outputs], axis=1).astype(float)
                     time = data["time"][()].astype(float)
@@ -282,10 +303,10 @@ class Result:
                 result = cls(inputs, time, outputs, history, energies, highest, first, last, origin, tuple(plain.get("notes", ())))
                 # Nothing is missing from what the summary can be made of.
                 _ = result.summary
-            except InputError:
-                raise
             # What HDF5 and a changed text raise has no common base.
             except Exception as error:
+                if isinstance(error, InputError) and error.where == str(path):
+                    raise
                 raise InputError(str(path), [f"is not a result of halfshaft: {type(error).__name__}: {error}"]) from error
         return result
 
@@ -297,8 +318,18 @@ def _attributes(d: Description) -> dict[str, Any]:
 
 
 def _generated(result: Result) -> float:
-    """Return the energy that generators made [J]."""
-    return sum(result.energies.get(f"{part}.P_out", 0.0) for part in GENERATORS)
+    """Return the energy that generators and fuel cells made [J]."""
+    return sum(result.energies[name] for name in result.tags.all_of("generated"))
+
+
+def _charge(result: Result, values: Mapping[str, float]) -> float | None:
+    """Return the state of charge of all packs; of several the mean by rated energy, or the plain one where that is not known."""
+    charges = {part: values[name] for part, name in result.tags.by_part("charge").items() if name in values}
+    if len(charges) < 2:
+        return next(iter(charges.values()), None)
+    rated = result.made.ratings.energies_J if result.made else {}
+    weights = [rated[part] for part in charges] if rated.keys() >= charges.keys() else None
+    return float(np.average(list(charges.values()), weights=weights))
 
 
 def _fuel(result: Result, distance: float) -> dict[str, Any]:
@@ -307,21 +338,24 @@ def _fuel(result: Result, distance: float) -> dict[str, Any]:
     names = ("fuel_L", "fuel_economy_L_per_100km", "fuel_economy_mpg")
     more = ("fuel_equivalent_L", "fuel_equivalent_L_per_100km", "fuel_equivalent_efficiency", "fuel_equivalent_basis")
     out: dict[str, Any] = dict.fromkeys((*names, *more))
-    burnt = {name.removesuffix(".fuel_used"): x for name, x in result.last.items() if name.endswith(".fuel_used")}
+    burnt = {part: result.last[name] for part, name in result.tags.by_part("fuel mass").items()}
     if not burnt:
         return out
+    density, heating = (
+        {part: p[name] for part, name in result.tags.by_part(tag).items()} for tag in ("fuel density", "fuel heating value")
+    )  # fmt: skip
 
     def economy(litres: float) -> float | None:
         return 1e5 * litres / distance if distance > 0 else None
 
-    out["fuel_L"] = sum(1e3 * mass / p[f"{part}.rho_fuel"] for part, mass in burnt.items())
+    out["fuel_L"] = sum(1e3 * mass / density[part] for part, mass in burnt.items())
     out["fuel_economy_L_per_100km"] = x = economy(out["fuel_L"])
     out["fuel_economy_mpg"] = mpg(x) if x else None
     if any(d.booking == "stored" for d in result.outputs):
         own = result.genset_ran
         efficiency = _generated(result) / a.fuel if own else GENSET_NOMINAL
         # A litre of the fuels burnt, all engines together; of one engine's where none ran.
-        energy = [1e-3 * p[f"{part}.rho_fuel"] * p[f"{part}.H_fuel"] for part in burnt]
+        energy = [1e-3 * density[part] * heating[part] for part in burnt]
         per_litre = a.fuel / out["fuel_L"] if out["fuel_L"] else sum(energy) / len(energy)
         out["fuel_equivalent_L"] = out["fuel_L"] + a.battery / efficiency / per_litre
         out["fuel_equivalent_L_per_100km"] = economy(out["fuel_equivalent_L"])

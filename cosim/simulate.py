@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, get_args
 
@@ -19,7 +19,8 @@ from halfshaft.cosim.origin import Hashes, Made
 from halfshaft.cosim.result import Inputs, Result
 from halfshaft.cosim.ways import Via as Via
 from halfshaft.library.base.errors import InputError, nearest, not_a, number
-from halfshaft.library.base.parameters import Parameters, tables
+from halfshaft.library.base.parameters import Parameters, spec_of
+from halfshaft.library.base.tags import Tags
 from halfshaft.models.assembly import Description, Step
 from halfshaft.models.vehicle import Vehicle
 
@@ -76,7 +77,7 @@ def stepper_of(vehicle: Vehicle) -> Stepper:
 
 def parameters_of(vehicle: Vehicle, step: Step, v_start: float = 0.0) -> Array:
     """Return the parameter vector of a step; the vehicle starts at the speed of its trace."""
-    values = {**vehicle.values, "body.v_start": v_start}
+    values = {**vehicle.values, step.tags.the("start speed"): v_start}
     return np.array([values[d.name] for d in step.parameters])
 
 
@@ -109,7 +110,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     dt = _checked(vehicle, cycle, via, dt, mode)
     made = Made(vehicle, cycle, time.time())
     inputs = Inputs(
-        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made)
+        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), vehicle.tags, hashes=Hashes(made)
     )  # fmt: skip
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs, made)
@@ -120,39 +121,45 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         samples = _sampled(cycle, dt, len(step.outputs))
         parameters = parameters_of(vehicle, step, samples.v_start)
         rows = march_fmu(step, samples, parameters, dt, 2 if via == "fmu2" else 3)
-        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), made)
+        first = _first(stepper_of(vehicle), parameters, cycle)
+        return _result(inputs, step.outputs, samples, rows, _integrals(step, rows, samples), made, first)
     compiled = stepper_of(vehicle)
     if isinstance(compiled, InterpretedStep):
         inputs = replace(inputs, compiled=False)
     samples = _sampled(cycle, dt, len(compiled.step.outputs), history)
-    march = compiled.march(samples, parameters_of(vehicle, compiled.step, samples.v_start), mode=mode, history=history)
-    names, first = [d.name for d in compiled.step.outputs], _first(vehicle, cycle, samples)
+    parameters = parameters_of(vehicle, compiled.step, samples.v_start)
+    march = compiled.march(samples, parameters, mode=mode, history=history)
+    names, first = [d.name for d in compiled.step.outputs], _first(compiled, parameters, cycle)
     energies = dict(zip(names, march.sums.tolist(), strict=True))
     highest = dict(zip(names, march.highest.tolist(), strict=True))
     last = dict(zip(names, march.last.tolist(), strict=True)) | ({} if len(samples.t) else first)
     rows = np.empty((0, len(names))) if march.history is None else march.history
-    notes = (*made.notes, *_beyond_maps(vehicle, highest, last))
+    notes = (*made.notes, *_beyond_maps(vehicle, compiled.step.tags, first, highest, last))
     if march.unsolved:
         notes += (f"{march.unsolved} steps reach no speed at all: they are those of the hybrid mode",)
     return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, made, notes)
 
 
-def _beyond_maps(vehicle: Vehicle, highest: Mapping[str, float], last: Mapping[str, float]) -> tuple[str, ...]:
-    """Tell where the battery was colder or warmer than its maps, where those depend on the temperature."""
-    if not highest.get("battery.T", 0) > 0:
-        return ()  # No battery, or no step.
-    axes = _temperatures(vehicle.parameters["battery"])
-    coldest, warmest = (f(vehicle.values["battery.T_start"], T["battery.T"]) for f, T in ((min, last), (max, highest)))
-    found = [("cold", coldest, x[0]) for x in axes if coldest < x[0]] + [("warm", warmest, x[-1]) for x in axes if warmest > x[-1]]
-    said = "battery as {} as {:.1f} degC, but maps of it are read at {:g} degC, their end"
-    return tuple(dict.fromkeys(said.format(how, T - 273.15, end - 273.15) for how, T, end in found))
+def _beyond_maps(
+    vehicle: Vehicle, tags: Tags, first: Mapping[str, float], highest: Mapping[str, float], last: Mapping[str, float]
+) -> Iterator[str]:
+    """Yield which parts were colder or warmer than their maps, where those depend on the temperature."""
+    for part, name in tags.by_part("temperature").items():
+        if not highest[name] > 0:
+            continue  # There was no step.
+        axes, began = _temperatures(vehicle.parameters[part]), first.get(name, last[name])
+        coldest, warmest = min(began, last[name]), max(began, highest[name])
+        found = [("cold", coldest, x[0]) for x in axes if coldest < x[0]] + [("warm", warmest, x[-1]) for x in axes if warmest > x[-1]]
+        said = f"{part.replace('_', ' ')} as {{}} as {{:.1f}} degC, but maps of it are read at {{:g}} degC, their end"
+        yield from dict.fromkeys(said.format(how, T - 273.15, end - 273.15) for how, T, end in found)
 
 
-# A loop over runs asks for the same pack again and again.
+# A loop over runs asks for the same part again and again.
 @lru_cache(maxsize=64)
 def _temperatures(p: Parameters) -> tuple[Array, ...]:
-    """Return the temperatures of a pack's maps, of those that depend on them."""
-    return tuple(t.points[0] for _, t in tables(p) if np.any(np.diff(t.values, axis=0)))
+    """Return the temperatures of a part's maps, of those that depend on them."""
+    maps = [(getattr(p, f.name), i) for f in fields(p) for i, axis in enumerate(spec_of(f).axes) if axis.unit == "K"]
+    return tuple(t.points[i] for t, i in maps if np.any(np.diff(t.values, axis=i)))
 
 
 def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> float:
@@ -176,11 +183,11 @@ def _sampled(cycle: Cycle, dt: float, n_outputs: int, history: bool = True) -> S
     return cycle.sampled(dt)
 
 
-def _first(vehicle: Vehicle, cycle: Cycle, samples: Samples) -> dict[str, float]:
-    first = {"time": float(cycle.time[0]), "body.v": samples.v_start}
-    if "battery.soc_start" in vehicle.values:
-        first["battery.soc"] = vehicle.values["battery.soc_start"]
-    return first
+def _first(stepper: Stepper, parameters: Array, cycle: Cycle) -> dict[str, float]:
+    """Return the time at the start, speed, charges and temperatures."""
+    start = stepper.first(parameters)
+    told = [d for d in stepper.step.outputs if d.state is not None and d.tag in ("speed", "charge", "temperature")]
+    return {"time": float(cycle.time[0]), **{d.name: float(start[d.state]) for d in told}}
 
 
 def _integrals(step: Step, rows: Array, samples: Samples) -> dict[str, float]:
@@ -195,12 +202,12 @@ def _result(
     rows: Array,
     energies: Mapping[str, float],
     made: Made,
+    first: Mapping[str, float],
 ) -> Result:
-    first = _first(made.vehicle, made.cycle, samples)
     names = [d.name for d in outputs]
     highest = dict(zip(names, rows.max(axis=0).tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0)
     last = dict(zip(names, rows[-1].tolist(), strict=True)) if len(rows) else dict.fromkeys(names, 0.0) | dict(first)
-    notes = (*made.notes, *_beyond_maps(made.vehicle, highest, last))
+    notes = (*made.notes, *_beyond_maps(made.vehicle, Tags.of(outputs), first, highest, last))
     return Result(inputs, samples.t, outputs, rows, energies, highest, first, last, made, notes)
 
 
@@ -214,15 +221,12 @@ def _run_forward(
     samples = _sampled(cycle, forward.driver.dt, len(forward.plant.shown))
     parameters = parameters_of(vehicle, forward.stepper.step, samples.v_start)
     done = forward.run(samples, parameters)
-    outputs = (
-        *forward.plant.shown,
-        Description("body.v_request", "m/s", "requested speed"),
-        Description("body.trace_miss", "m/s", "request less achieved speed"),
-        Description("body.overspeed", "m/s", "achieved less requested speed"),
-    )
-    v = done.history[:, [d.name for d in forward.plant.shown].index("body.v")]
+    step = forward.stepper.step
+    beside = (step.outputs[step.output_index[step.tags.the(tag)]] for tag in ("request", "miss", "overspeed"))
+    outputs = (*forward.plant.shown, *beside)
+    v = done.history[:, [d.name for d in forward.plant.shown].index(step.tags.the("speed"))]
     rows = np.column_stack([done.history, samples.v, samples.v - v, v - samples.v])
     # Powers are integrated by IDAS; of all else the sum over the samples must do.
     names = [d.name for d in outputs]
     energies = dict(zip(names, integrals(forward.plant.name, names, samples, rows).tolist(), strict=True)) | done.energies
-    return _result(inputs, outputs, samples, rows, energies, made)
+    return _result(inputs, outputs, samples, rows, energies, made, _first(forward.stepper, parameters, cycle))

@@ -27,7 +27,7 @@ from halfshaft.library.base.component import Component
 from halfshaft.library.base.parameters import Parameters, Spec, spec_of
 from halfshaft.library.base.ports import Port
 from halfshaft.library.base.tables import Table
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 
 PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -52,14 +52,14 @@ PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {"one-run": one_run, "ov
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Add the generated pages to the navigation."""
     assert config.nav is not None
-    config.nav.append({"Components": ["components/index.md", *({name: f"components/{name}.md"} for name in KINDS)]})
+    config.nav.append({"Components": ["components/index.md", *({name: f"components/{name}.md"} for name in component_kinds())]})
     return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages and pictures."""
     made: dict[str, str | bytes] = {"components/index.md": index_page()}
-    for name in KINDS:
+    for name in component_kinds():
         made[f"components/{name}.md"] = kind_page(name)
         shown = first_with_maps(name)
         if shown:
@@ -112,7 +112,7 @@ def text_of(docstring: str | None) -> str:
 
 def kind_page(kind: str) -> str:
     """Return the page of a kind of component, made from its class."""
-    cls = KINDS[kind]
+    cls = component_kinds()[kind]
     shown = first_with_maps(kind)
     sections = {
         "": text_of(sys.modules[cls.__module__].__doc__),
@@ -133,7 +133,7 @@ def kind_page(kind: str) -> str:
 
 def index_page() -> str:
     """Return the list of all kinds."""
-    rows = ((f"[{kind}]({kind}.md)", inspect.getdoc(cls) or "", str(len(component_names(kind)))) for kind, cls in KINDS.items())
+    rows = ((f"[{kind}]({kind}.md)", inspect.getdoc(cls) or "", str(len(component_names(kind)))) for kind, cls in component_kinds().items())
     listed = table(("kind", "what it is", "in the library"), rows)
     return f"# Components\n\nThe kinds of components; each page is made from its class.\n\n{listed}\n"
 

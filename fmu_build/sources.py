@@ -16,7 +16,7 @@ from string import Formatter, ascii_letters, digits
 from typing import NamedTuple
 
 from halfshaft.fmu_build.code import relations_code
-from halfshaft.fmu_build.variables import DISTANCE, SPEED, CycleTable, Variable, Version
+from halfshaft.fmu_build.variables import CycleTable, Variable, Version
 from halfshaft.models.assembly import Step
 
 _MODEL = """\
@@ -49,11 +49,10 @@ def sources(step: Step, name: str, code: str, table: Sequence[Variable], cycle: 
     """Return the complete C of an FMU; its token follows name and title too."""
     main = f"fmi{fmi}.c"
     shell = {name: files("halfshaft.fmu_build").joinpath("c", name).read_text(encoding="utf-8") for name in (main, "core.h")}
-    states = [x.name for x in step.states]
-    positions = [("HS_X_SPEED", SPEED), ("HS_X_DISTANCE", DISTANCE)]
+    positions = {"speed": "HS_X_SPEED", "distance": "HS_X_DISTANCE"}
     parts = {
         "driven": str(int(cycle is None)),
-        "positions": "".join(f"#define {macro} {states.index(name)}\n" for macro, name in positions if name in states),
+        "positions": "".join(f"#define {positions[x.tag]} {i}\n" for i, x in enumerate(step.states) if x.tag in positions),
         "code": code,
         "rows": ",\n  ".join(_row(v) for v in table),
         "relations": ",\n  ".join([*(_relation(step, part, r.message) for part, r in step.relations), "{NULL, {0, 0, 0, 0}}"]),

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from halfshaft.library.base.errors import InputError, nearest
+from halfshaft.library.base.tags import Tags
 from halfshaft.models.assembly import Description, Step
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -18,10 +19,6 @@ Version: TypeAlias = Literal[2, 3]
 
 #: An internal step is never shorter than this [s].
 SHORTEST_STEP = 1e-6
-#: States that the shell knows by name.
-SPEED, DISTANCE = "body.v", "body.distance"
-#: Parameter that the start speed of a cycle replaces.
-START_SPEED = "body.v_start"
 
 
 class CycleTable(NamedTuple):
@@ -66,7 +63,7 @@ def variables(step: Step, step_size: float, cycle: CycleTable | None, values: Ma
         firsts = (cycle.v_start, cycle.grade[0], cycle.key_on[0])
         length = length._replace(causality="local", lowest=None)
         requests = [v._replace(causality="output", start=float(first)) for v, first in zip(requests, firsts, strict=True)]
-        values = {**values, START_SPEED: cycle.v_start}
+        values = {**values, **dict.fromkeys(Tags.of(step.parameters).all_of("start speed"), cycle.v_start)}
     return [
         Variable("time", "s", "time", "independent", 0.0),
         *requests,
@@ -111,13 +108,13 @@ def check(step: Step, step_size: float, cycle: CycleTable | None, values: Mappin
         for d, row in zip(step.requests, rows, strict=False):
             if np.all(np.isfinite(row)) and not np.all(_inside(d, row)):
                 problems.append(f"{d.name} of the cycle must be {d.allowed}")
-        if cycle.v_start and START_SPEED not in parameters:
-            problems.append(f"v_start = {cycle.v_start:g} m/s, but the model has no parameter {START_SPEED}")
+        if cycle.v_start and not Tags.of(step.parameters).all_of("start speed"):
+            problems.append(f"v_start = {cycle.v_start:g} m/s, but the model has no parameter for the start speed")
         if cycle.grade_distance:
             distance, grade = cycle.grade_distance
             if np.shape(distance) != np.shape(grade) or not len(distance) or np.any(np.diff(distance) <= 0):
                 problems.append("grade_distance needs rising distances and one grade for each")
-            if DISTANCE not in [x.name for x in step.states]:
-                problems.append(f"grade_distance is given, but the model has no state {DISTANCE}")
+            if not Tags.of(step.states).all_of("distance"):
+                problems.append("grade_distance is given, but the model has no state for the distance")
     if problems:
         raise InputError(f"FMU of {step.name}", problems)

@@ -19,11 +19,12 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component
+from halfshaft.library.base.component import Component, Variable
 from halfshaft.library.base.errors import WiringError
 from halfshaft.library.base.parameters import Relation, bind, numbers, tables
 from halfshaft.library.base.ports import MEANINGS, SHOWN, UNITS
 from halfshaft.library.base.tables import BoundTable, Table, interpolants
+from halfshaft.library.base.tags import Tags, unknown
 from halfshaft.models.model import Model
 from halfshaft.models.wiring import Key, Wiring
 
@@ -41,6 +42,8 @@ class Description(NamedTuple):
     booking: str = ""
     state: int | None = None
     allowed: str = ""
+    tag: str = ""
+    warning: str = ""
 
 
 REQUESTED = (
@@ -100,8 +103,8 @@ def symbolic(model: Model, functions: Mapping[str, ca.Function]) -> Symbols:
         for field, spec, value in numbers(part.p):
             own[field] = ca.SX.sym(f"{name}.{field}")
             symbols.append(own[field])
-            bounds = (spec.lowest, spec.highest)
-            described.append(Description(f"{name}.{field}", spec.unit, spec.doc, "real", value, *bounds, allowed=spec.allowed()))
+            known = (spec.unit, spec.doc, "real", value, spec.lowest, spec.highest)
+            described.append(Description(f"{name}.{field}", *known, allowed=spec.allowed(), tag=spec.tag))
         maps = {field: BoundTable(functions[table_name(model, name, field)], t) for field, t in tables(part.p)}
         parts[name] = replace(part, p=bind(part.p, own, maps))
     relations = tuple((name, relation) for name, part in parts.items() for relation in part.p.relations)
@@ -143,6 +146,16 @@ class Step:
         """Position of each parameter by name."""
         return {d.name: i for i, d in enumerate(self.parameters)}
 
+    @cached_property
+    def tags(self) -> Tags:
+        """What states, outputs and parameters are."""
+        return Tags.of(self.states, self.outputs, self.parameters)
+
+
+def of_variable(part: str, v: Variable) -> Description:
+    """Return the description of a part's variable."""
+    return Description(f"{part}.{v.name}", v.unit, v.doc, v.kind, booking=v.booking, tag=v.tag, warning=v.warning)
+
 
 def _described_outputs(model: Model, parts: Mapping[str, Component], states: list[Description]) -> list[tuple[Description, Key, str]]:
     """Return description, place and field of every output."""
@@ -152,24 +165,27 @@ def _described_outputs(model: Model, parts: Mapping[str, Component], states: lis
         for s in part.states:
             if s.shown:
                 full = f"{name}.{s.name}"
-                found.append((Description(full, s.unit, s.doc, state=position[full]), ("next", name, s.name), ""))
+                found.append((Description(full, s.unit, s.doc, state=position[full], tag=s.tag), ("next", name, s.name), ""))
         for v in part.all_variables():
-            found.append((Description(f"{name}.{v.name}", v.unit, v.doc, v.kind, booking=v.booking), ("variable", name, v.name), ""))
+            found.append((of_variable(name, v), ("variable", name, v.name), ""))
         for c in model.connections:
             required: Key = ("required", c.supply, c.supply_port.name)
             available: Key = ("available", c.supply, c.supply_port.name)
-            fields = [f for f in SHOWN[c.supply_port.kind] if f != "P"]
+            at_supply, at_load = model.endings(c)
+            fields, supplied = [f for f in SHOWN[c.supply_port.kind] if f != "P"], c.supply_port.tags
             if c.supply == name:
                 for f in fields:
-                    found.append((Description(f"{name}.{f}", UNITS[f], f"{MEANINGS[f]} toward the wheel, available"), available, f))
-                    found.append((Description(f"{name}.{f}_required", UNITS[f], f"{MEANINGS[f]} toward the wheel, required"), required, f))
-                found.append((Description(f"{name}.P_out", "W", "power toward the wheel, available"), available, "P"))
+                    full, what = f"{name}.{f}{at_supply}", f"{MEANINGS[f]} toward the wheel"
+                    found.append((Description(full, UNITS[f], f"{what}, available", tag=supplied.get(f, "")), available, f))
+                    found.append((Description(f"{full}_required", UNITS[f], f"{what}, required"), required, f))
+                full = f"{name}.P_out{at_supply}"
+                found.append((Description(full, "W", "power toward the wheel, available", tag=supplied.get("P", "")), available, "P"))
             if c.load == name:
-                several = sum(other.load == name for other in model.connections) > 1
-                suffix = f"_{c.load_port.name}" if several else ""
-                found.append((Description(f"{name}.P_in{suffix}", "W", "power from the source, available"), available, "P"))
+                full = f"{name}.P_in{at_load}"
+                came = Description(full, "W", "power from the source, available", tag=c.load_port.tags.get("P", ""))
+                found.append((came, available, "P"))
                 if not fields:
-                    found.append((Description(f"{name}.P_in{suffix}_required", "W", "power from the source, required"), required, "P"))
+                    found.append((Description(f"{full}_required", "W", "power from the source, required"), required, "P"))
     return found
 
 
@@ -190,7 +206,7 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
     states, known = [], dict[Key, Any]()
     for name, part in symbols.parts.items():
         for s in part.states:
-            states.append(Description(f"{name}.{s.name}", s.unit, s.doc))
+            states.append(Description(f"{name}.{s.name}", s.unit, s.doc, tag=s.tag))
             known["state", name, s.name] = ca.SX.sym(f"{name}.{s.name}")
     state = ca.vertcat(*known.values()) if known else ca.SX(0, 1)
     request = {d.name: ca.SX.sym(d.name) for d in REQUESTED}
@@ -201,8 +217,10 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
     following = ca.vertcat(*(values["next", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
     outputs = [o for o in _described_outputs(model, wired.parts, states) if o[1] in values]
     twice = [name for name, n in Counter(d.name for d, *_ in outputs).items() if n > 1]
-    if twice:
-        raise WiringError(model.name, [f"{name} is an output twice: a variable or state, and what is shown of a port" for name in twice])
+    problems = [f"{name} is an output twice: a variable or state, and what is shown of a port" for name in twice]
+    problems += unknown({d.name: d for d in (*states, *(o[0] for o in outputs), *symbols.descriptions)}.values())
+    if problems:
+        raise WiringError(model.name, problems)
     shown = ca.vertcat(*(values[key] if not field else getattr(values[key], field) for _, key, field in outputs))
 
     start = wiring.start()

@@ -25,7 +25,7 @@ import casadi as ca
 
 from halfshaft.library.base.component import Component, Face, Variable
 from halfshaft.library.base.ports import SHOWN
-from halfshaft.models.assembly import Description, Step, symbolic
+from halfshaft.models.assembly import Description, Step, of_variable, symbolic
 from halfshaft.models.model import Model
 from halfshaft.models.wiring import Key, Published, Wiring
 
@@ -135,7 +135,7 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
             z.append(ca.SX.sym(f"{name}.{u.name}"))
             known["unknown", name, u.name] = z[-1]
         for s, memory in part.plant_states:
-            states.append(Description(f"{name}.{s.name}", s.unit, s.doc))
+            states.append(Description(f"{name}.{s.name}", s.unit, s.doc, tag=s.tag))
             memories.append(f"{name}.{memory}")
             x.append(ca.SX.sym(f"{name}.{s.name}"))
             known["state", name, s.name] = x[-1]
@@ -152,22 +152,21 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
     values = wiring.evaluate(known)
     balance = [value for key, value in values.items() if key[0] == "balance"]
     rates = ca.vertcat(*(values["derivative", *d.name.split(".", 1)] for d in states))  # type: ignore[index]
-    shown = [(Description(d.name, d.unit, d.doc), symbol) for d, symbol in zip(states, x, strict=True)]
+    shown = list(zip(states, x, strict=True))
     for name, part in symbols.parts.items():
-        for v in (*part.all_variables(), *(Variable(s.name, s.unit, s.doc) for s in part.states)):
+        for v in (*part.all_variables(), *(Variable(s.name, s.unit, s.doc, tag=s.tag) for s in part.states)):
             if (key := ("variable", name, v.name)) in values and key not in known:
-                described = Description(f"{name}.{v.name}", v.unit, v.doc, v.kind, booking=v.booking)
-                shown.append((described, values[key]))
+                shown.append((of_variable(name, v), values[key]))
         for c in model.connections:
             point: Any = values.get(("required", c.supply, c.supply_port.name), values.get(("available", c.supply, c.supply_port.name)))
+            at_supply, at_load = model.endings(c)
             for field in SHOWN[c.supply_port.kind]:
                 if c.supply == name and field != "P":
-                    shown.append((_described(step, f"{name}.{field}"), getattr(point, field)))
+                    shown.append((_described(step, f"{name}.{field}{at_supply}"), getattr(point, field)))
             if c.supply == name:
-                shown.append((_described(step, f"{name}.P_out"), point.P))
+                shown.append((_described(step, f"{name}.P_out{at_supply}"), point.P))
             if c.load == name:
-                several = sum(other.load == name for other in model.connections) > 1
-                shown.append((_described(step, f"{name}.P_in{f'_{c.load_port.name}' if several else ''}"), point.P))
+                shown.append((_described(step, f"{name}.P_in{at_load}"), point.P))
     integrals = [(d, value) for d, value in shown if d.unit == "W"]
     p = ca.vertcat(*held.values(), grade, key_on, symbols.parameters)
     quad = ca.vertcat(*(value for _, value in integrals))

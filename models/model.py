@@ -83,6 +83,12 @@ class Model:
             if ends[0] and ends[1]:
                 self.connect(ends[0], ends[1])
 
+    def endings(self, c: Connection) -> tuple[str, str]:
+        """Return how the names end of what is shown of a connection, at its supply and at its load: by port, where there are several."""
+        supplies = sum(other.supply == c.supply for other in self.connections)
+        loads = sum(other.load == c.load for other in self.connections)
+        return f"_{c.supply_port.name}" if supplies > 1 else "", f"_{c.load_port.name}" if loads > 1 else ""
+
     def _end(self, place: str, side: Side) -> PortOf | None:
         """Return the port of a place in a chain that looks toward a side."""
         name, _, given = place.partition(".")

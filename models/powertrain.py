@@ -6,17 +6,22 @@ points of the group ``halfshaft.powertrains``; vehicles are the files of the fol
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources.abc import Traversable
 from types import ModuleType
+from typing import Any
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError
-from halfshaft.library.files.catalog import KINDS, data_files, modules, packages
+from halfshaft.library.files.catalog import component_kinds, data_files, modules, packages
 from halfshaft.models.model import Model
-from halfshaft.models.rules import Rule
+from halfshaft.models.rules import Rule, Sets
+
+#: Names of powertrains and roles.
+NAME = re.compile("[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 @dataclass(frozen=True)
@@ -24,11 +29,13 @@ class Derived:
     """A parameter that may follow from other parts.
 
     ``target`` is ``role.parameter``; ``rules`` are those that can derive it; the first derives it where a vehicle says nothing
-    and the part's file leaves it open.
+    and the part's file leaves it open.  ``of`` gives the roles of the parts that a rule looks at, where they are not called as
+    the rule calls them.
     """
 
     target: str
     rules: tuple[type[Rule], ...]
+    of: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def role(self) -> str:
@@ -40,10 +47,21 @@ class Derived:
         """The parameter."""
         return self.target.partition(".")[2]
 
+    def value(self, rule: Rule, sets: Sets) -> Any:
+        """Return what a rule derives from the parameters by role."""
+        return rule({name: sets[self.of.get(name, name)] for name in rule.needs})
+
 
 @dataclass(frozen=True)
 class Powertrain:
-    """A powertrain: ``roles`` lists from the wheel to the source what kinds, or families of kinds, may fill each role."""
+    """A powertrain: ``roles`` lists from the wheel to the source what kinds, or families of kinds, may fill each role.
+
+    Raises
+    ------
+    InputError
+        If a name is none that C, FMI and files can all use, or something is derived for a role that there is not.
+
+    """
 
     name: str
     title: str
@@ -51,9 +69,18 @@ class Powertrain:
     connect: Callable[[Model], None]
     derived: tuple[Derived, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Check the names."""
+        problems = [
+            f"{name!r} must be of lower-case words with _ between them" for name in (self.name, *self.roles) if not NAME.fullmatch(name)
+        ]
+        problems += [f"{d.target} is derived, but there is no role {d.role}" for d in self.derived if d.role not in self.roles]
+        if problems:
+            raise InputError(f"powertrain '{self.name}'", problems)
+
     def kinds(self, role: str) -> list[str]:
         """Return the kinds that may fill a role."""
-        return [kind for kind, cls in KINDS.items() if kind in self.roles[role] or cls.family in self.roles[role]]
+        return [kind for kind, cls in component_kinds().items() if kind in self.roles[role] or cls.family in self.roles[role]]
 
     def derivable(self, role: str) -> list[str]:
         """Return the parameters of a role that may follow from other parts."""
@@ -61,8 +88,7 @@ class Powertrain:
 
     def model(self, parts: Mapping[str, Component]) -> Model:
         """Return the model that parts make."""
-        # A name of functions in C, too.
-        model = Model(self.name.replace("-", "_"), parts)
+        model = Model(self.name, parts)
         self.connect(model)
         return model
 

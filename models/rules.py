@@ -23,12 +23,12 @@ Sets: TypeAlias = Mapping[str, Parameters]
 class Rule(Parameters):
     """Derives the value of one parameter from other parts; its own numbers are those that a vehicle's file gives it."""
 
-    #: What a file calls it, and the roles that it looks at.
+    #: What a file calls it, and its own names for the parts that it looks at.
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...]]
 
     def __call__(self, sets: Sets) -> Any:
-        """Return the value; `sets` are the parameters by role."""
+        """Return the value; `sets` are the parameters by the rule's own names for the parts."""
         raise NotImplementedError
 
 

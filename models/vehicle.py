@@ -7,18 +7,20 @@ only what differs.  Numbers and rules of a part go when the part is replaced.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib.resources.abc import Traversable
+from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, numbers, spec_of, tables
+from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
 from halfshaft.library.engine.engine import EngineParameters
@@ -31,6 +33,7 @@ from halfshaft.models.powertrain import Powertrain, powertrains, vehicle_files
 from halfshaft.models.rules import Rule, Sets
 
 Parts: TypeAlias = Mapping[str, ComponentFile]
+P = TypeVar("P", bound=Parameters)
 #: A map of a gearbox serves ratios that are so near to its own.
 OTHER_RATIO = 0.01
 #: Shift lines that fit an engine end between this share of its top speed and that speed.
@@ -72,10 +75,10 @@ class Vehicle:
 
     def __repr__(self) -> str:
         """Return name, powertrain and mass."""
-        return f"<Vehicle {self.name}: {self.powertrain}, {self.values['body.m']:g} kg, {len(self.parts)} parts>"
+        return f"<Vehicle {self.name}: {self.powertrain}, {self.mass:g} kg, {len(self.parts)} parts>"
 
     def _repr_html_(self) -> str:
-        facts = {"powertrain": self.powertrain, "mass": f"{self.values['body.m']:g} kg", "source": self.source}
+        facts = {"powertrain": self.powertrain, "mass": f"{self.mass:g} kg", "source": self.source}
         parts = [(role, part.name, part.kind, part.title) for role, part in self.parts.items()]
         rows = [(f"{role}.{name}", *rest) for role, p in self.parameters.items() for name, *rest in described(type(p), vars(p))]
         return card(
@@ -96,6 +99,16 @@ class Vehicle:
         """All numbers by ``role.parameter``, the entries of a row by ``role.parameter_1`` and so on."""
         return {f"{role}.{name}": value for role, p in self.parameters.items() for name, _, value in numbers(p)}
 
+    @property
+    def mass(self) -> float:
+        """Test mass [kg]."""
+        return self.values[self.tags.the("vehicle mass")]
+
+    @property
+    def tags(self) -> Tags:
+        """What the numbers are, by ``role.parameter``."""
+        return _tags(tuple((role, type(p)) for role, p in self.parameters.items()))
+
     @cached_property
     def specs(self) -> dict[str, Spec]:
         """Unit, meaning and bounds of all numbers."""
@@ -104,7 +117,7 @@ class Vehicle:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What was made for other parts or numbers than this vehicle has; runs show it among their warnings."""
-        return tuple(filter(None, (_map_of_other_ratios(self), _lines_of_another_engine(self))))
+        return (*_maps_of_other_ratios(self), *_lines_of_another_engine(self))
 
     def model(self) -> Model:
         """Return the parts, connected."""
@@ -184,6 +197,13 @@ class Vehicle:
 def vehicle_names() -> list[str]:
     """Return the names of the library's vehicles."""
     return list(vehicle_files())
+
+
+# Runs ask for it again and again.
+@lru_cache(maxsize=256)
+def _tags(kinds: tuple[tuple[str, type[Parameters]], ...]) -> Tags:
+    found = ((f"{role}.{f.name}", spec_of(f).tag) for role, kind in kinds for f in fields(kind))
+    return Tags({name: tag for name, tag in found if tag})
 
 
 def _specs(parts: Parts) -> dict[str, Spec]:
@@ -275,25 +295,25 @@ def _flat(data: Mapping[str, Any]) -> dict[str, Any]:
     return {k: x for k, x in data.items() if k not in nested} | {f"{r}.{k}": x for r, part in nested.items() for k, x in part.items()}
 
 
-def _map_of_other_ratios(vehicle: Vehicle) -> str | None:
-    gearbox = vehicle.parameters.get("gearbox")
-    if not isinstance(gearbox, MapGearboxParameters):
-        return None
-    part = vehicle.parts["gearbox"]
-    pairs = enumerate(zip(part.values["ratios"], gearbox.ratios, strict=True), 1)
-    gears = [f"{own:.4g} in gear {i}, made for {made:.4g}" for i, (made, own) in pairs if abs(own / made - 1) > OTHER_RATIO]
-    return f"the efficiency map of gearbox {part.name} is used at ratios that it was not made for: {', '.join(gears)}" if gears else None
+def _of_kind(vehicle: Vehicle, kind: type[P]) -> Iterator[tuple[ComponentFile, P]]:
+    """Yield the parts whose parameters are of a kind, with those."""
+    yield from ((vehicle.parts[role], p) for role, p in vehicle.parameters.items() if isinstance(p, kind))
 
 
-def _lines_of_another_engine(vehicle: Vehicle) -> str | None:
-    shift, engine = vehicle.parameters.get("shift"), vehicle.parameters.get("engine")
-    if not isinstance(shift, ShiftParameters) or not isinstance(engine, EngineParameters):
-        return None
-    last, top = shift.up.inside(0)[1], engine.tau_max.inside(0)[1] * engine.speed_scale
-    if LAST_SHIFT <= last / top <= 1:
-        return None
-    lines, own = vehicle.parts["shift"].name, vehicle.parts["engine"].name
-    return f"the shift lines of {lines} end at {last:.0f} rad/s, engine {own} at {top:.0f} rad/s: they were made for another engine"
+def _maps_of_other_ratios(vehicle: Vehicle) -> Iterator[str]:
+    for part, gearbox in _of_kind(vehicle, MapGearboxParameters):
+        pairs = enumerate(zip(part.values["ratios"], gearbox.ratios, strict=True), 1)
+        gears = [f"{own:.4g} in gear {i}, made for {made:.4g}" for i, (made, own) in pairs if abs(own / made - 1) > OTHER_RATIO]
+        if gears:
+            yield f"the efficiency map of gearbox {part.name} is used at ratios that it was not made for: {', '.join(gears)}"
+
+
+def _lines_of_another_engine(vehicle: Vehicle) -> Iterator[str]:
+    for (lines, shift), (own, engine) in product(_of_kind(vehicle, ShiftParameters), _of_kind(vehicle, EngineParameters)):
+        last, top = shift.up.inside(0)[1], engine.tau_max.inside(0)[1] * engine.speed_scale
+        if not LAST_SHIFT <= last / top <= 1:
+            ends = f"the shift lines of {lines.name} end at {last:.0f} rad/s, engine {own.name} at {top:.0f} rad/s"
+            yield f"{ends}: they were made for another engine"
 
 
 def _source_on(base: Vehicle | None) -> str:
@@ -363,7 +383,8 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
         else:
             values[role][parameter] = x
     rules = dict(vehicle.rules)
-    for d in powertrains()[vehicle.powertrain].derived:
+    derived = {d.target: d for d in powertrains()[vehicle.powertrain].derived}
+    for d in derived.values():
         if d.parameter not in values[d.role]:
             rules.setdefault(d.target, d.rules[0]())
     rows_set = {name.rpartition("_")[0] for name in vehicle.given}
@@ -384,7 +405,7 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
         for target, rule in rules.items():
             role, _, parameter = target.partition(".")
             try:
-                value = rule(sets)
+                value = derived[target].value(rule, sets)
             except InputError as e:
                 problems.extend(f"{target}: {p}" for p in e.problems)
                 continue

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from halfshaft.library.base.component import Component, Face, From, arguments
 from halfshaft.library.base.errors import WiringError, nearest
 from halfshaft.library.base.links import TwoSided
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 from halfshaft.models.model import Model
 
 #: Where a value lives: what it is, the part that it belongs to (empty for the model's own), its name.
@@ -242,7 +242,7 @@ class Wiring:
     @cached_property
     def _publishable(self) -> set[str]:
         """Signals that some kind of component publishes, in this model or another; only these may be absent."""
-        kinds = {*KINDS.values(), *(type(part) for part in self.parts.values())}
+        kinds = {*component_kinds().values(), *(type(part) for part in self.parts.values())}
         variables = {v.name for kind in kinds for v in kind.variables if v.signal}
         states = {s.name for kind in kinds for s in kind.states if s.signal}
         return variables | states | {s.name for kind in kinds for s in kind.signals}

@@ -44,12 +44,11 @@ class Row(NamedTuple):
 
 
 def measured(vehicle: Vehicle, task: str, *, dt: float = 0.1, mode: Mode = "hybrid", via: Via = "step") -> tuple[float | None, str]:
-    """Return the time to 100 km/h, the fuel, or the energy of a motor without an engine beside it, and its unit."""
+    """Return the time to 100 km/h, the fuel, or the energy that the motors take where there are any, and its unit."""
     if task in ("udds", "us06"):
         result: Result = run(vehicle, Cycle.load(task), dt=dt, mode=mode, via=via)
-        if vehicle.powertrain == "conventional":
-            return result.summary["fuel_L"], "L"
-        return result.energies["motor.P_in"] / 3.6e6, "kWh"
+        driven = result.summary["motor_input_J"]
+        return (result.summary["fuel_L"], "L") if driven is None else (driven / 3.6e6, "kWh")
     # The request moves from the first step on, whatever its length.
     cycle = acceleration_cycle(t_start=T_START, duration=50.0)
     return time_to(run(prepared(vehicle), cycle, dt=dt, mode=mode, via=via), 100 / 3.6), "s"

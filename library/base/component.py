@@ -30,6 +30,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 from halfshaft.library.base.parameters import Parameters
 from halfshaft.library.base.ports import Port
+from halfshaft.library.base.tags import Tag
 
 Booking: TypeAlias = Literal["", "fuel", "stored", "loss", "kinetic", "potential", "mismatch", "discretisation", "limit"]
 
@@ -37,7 +38,8 @@ Booking: TypeAlias = Literal["", "fuel", "stored", "loss", "kinetic", "potential
 class Variable(NamedTuple):
     """An output of a component.
 
-    ``booking`` says what a power is to the energy account; ``signal`` publishes the variable to all other parts.
+    ``booking`` says what a power is to the energy account; ``signal`` publishes the variable to all other parts; ``tag`` says
+    what it is (`halfshaft.library.base.tags`); ``warning`` is what a run warns of where a flag is up, ``{part}`` being its part.
     """
 
     name: str
@@ -46,6 +48,8 @@ class Variable(NamedTuple):
     booking: Booking = ""
     signal: bool = False
     kind: Literal["real", "flag", "count"] = "real"
+    tag: Tag = ""
+    warning: str = ""
 
 
 class State(NamedTuple):
@@ -53,7 +57,8 @@ class State(NamedTuple):
 
     ``signal`` publishes its value at the start of the step; ``shown`` makes its end value an output; ``decision`` says
     that it holds a control's decision: where the request ``decided`` is 1, the control keeps what stands there.
-    ``neutral`` stands for it in the forward-facing model, if what the discrete method remembers has no meaning there.
+    ``neutral`` stands for it in the forward-facing model, if what the discrete method remembers has no meaning there;
+    ``tag`` says what it is.
     """
 
     name: str
@@ -63,6 +68,7 @@ class State(NamedTuple):
     shown: bool = False
     decision: bool = False
     neutral: float | None = None
+    tag: Tag = ""
 
 
 class Signal(NamedTuple):

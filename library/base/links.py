@@ -95,6 +95,11 @@ def deliver(link: Link, asked: Any, sent: Any, offered: Any) -> Any:
     return delivered._replace(**{delivered._fields[0]: where(offered[0] == sent[0], asked[0], delivered[0])})
 
 
+def kinetic_rate(J: Expr, before: Expr, after: Expr, dt: Expr) -> Expr:
+    """Return the mean rate at which a rotor's kinetic energy changes in a step from one speed to another [W]."""
+    return J * (1 / (2 * dt)) * (after**2 - before**2)
+
+
 def outward(links: Iterable[Link], asked: Any) -> Way:
     """Return the required way from a load point through links."""
     way = []

@@ -18,6 +18,7 @@ import numpy as np
 
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.tables import Axis, Table
+from halfshaft.library.base.tags import Tag
 from halfshaft.library.files.notebook import Grid, card
 
 
@@ -33,6 +34,7 @@ class Spec(NamedTuple):
     axes: tuple[Axis, ...] = ()
     clip: bool = True
     row: bool = False
+    tag: Tag = ""
 
     def shown(self, value: float) -> str:
         """Return a number with its unit, if it has one."""
@@ -67,7 +69,7 @@ class Spec(NamedTuple):
 
 
 def param(unit: str, doc: str, default: Any = MISSING, **bounds: Any) -> Any:
-    """Declare a number in SI unit `unit` with its meaning and bounds (``gt``, ``ge``, ``lt``, ``le``)."""
+    """Declare a number in SI unit `unit` with its meaning and bounds (``gt``, ``ge``, ``lt``, ``le``); ``tag`` says what it is."""
     return field(default=default, metadata={"spec": Spec(unit, doc, **bounds)})
 
 
@@ -127,6 +129,10 @@ class Parameters:
     def check(self) -> list[str]:
         """Return which relations are broken; symbols break none."""
         return [r.message.format_map(vars(self)) for r in self.relations if isinstance(wrong := r.broken(self), bool | np.bool) and wrong]
+
+    def ratings(self) -> Mapping[str, float]:
+        """Return what the part is rated at: ``energy`` of a store [J], ``traction power`` of what drives [W]."""
+        return {}
 
     def _repr_html_(self) -> str:
         return card(type(self).__name__, "", {}, Grid(DESCRIBED, described(type(self), vars(self))))

@@ -7,8 +7,12 @@ source (what must come?), the *available* one from the source to the wheel (what
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+
+from halfshaft.library.base.tags import Tag
 
 if TYPE_CHECKING:
     from halfshaft.library.base.component import Component
@@ -72,12 +76,21 @@ class Port:
     """Declaration of a port in the body of a component class.
 
     An ``optional`` port may be left open.  At one that ``offers``, the source decides by itself what flows, and is not asked.
+    ``tags`` says of fields what they are.
     """
 
     name: str
 
-    def __init__(self, kind: Kind, side: Side, *, optional: bool = False, offers: bool = False) -> None:
-        self.kind, self.side, self.optional, self.offers = kind, side, optional, offers
+    def __init__(
+        self,
+        kind: Kind,
+        side: Side,
+        *,
+        optional: bool = False,
+        offers: bool = False,
+        tags: Mapping[str, Tag] = MappingProxyType({}),
+    ) -> None:
+        self.kind, self.side, self.optional, self.offers, self.tags = kind, side, optional, offers, tags
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name

@@ -45,26 +45,31 @@ class Resistance(NamedTuple):
         return self.roll_0 + self.roll_1 * v + self.roll_2 * v**2
 
     def at(self, v: Expr, moving: Expr) -> Expr:
-        """Return the force at a speed [N]."""
+        """Return the force at a speed ahead [N]."""
         return moving * self.roll(v) + self.climb + self.aero * v**2
+
+    def powers(self, v: Expr, moving: Expr, size: Expr) -> dict[str, Expr]:
+        """Return what drag, tyres and slope take at a speed of this size [W]; backward too, the first two oppose the motion."""
+        return {"P_aero": self.aero * size * v * v, "P_roll": moving * self.roll(size) * v, "P_climb": self.climb * v}
 
 
 @dataclass(frozen=True, kw_only=True)
 class BodyParameters(Parameters):
     """Mass, shape and geometry of the vehicle."""
 
-    m: float = param("kg", "test mass", ge=10, le=1e6)
+    m: float = param("kg", "test mass", ge=10, le=1e6, tag="vehicle mass")
     c_d: float = param("1", "drag coefficient", ge=0, le=10)
     A: float = param("m^2", "frontal area", ge=0, le=100)
     rho: float = param("kg/m^3", "air density", 1.2, ge=0, le=10)
-    g: float = param("m/s^2", "gravity", 9.81, ge=0.1, le=100)
+    g: float = param("m/s^2", "gravity", 9.81, ge=0.1, le=100, tag="gravity")
     front_share: float = param("1", "share of the weight on the front axle at rest", 0.6, ge=0, le=1)
     h: float = param("m", "height of the centre of gravity", 0.5, ge=0, le=10)
     wheelbase: float = param("m", "wheelbase", 2.6, ge=0.1, le=100)
     v_miss: float = param(
-        "m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, ge=1e-6, le=1e3
-    )
-    v_start: float = param("m/s", "speed at the start", 0.0, ge=0, le=1e3)
+        "m/s", "a trace is missed when the vehicle is slower than the request by more than this", 0.44704, ge=1e-6, le=1e3,
+        tag="miss threshold",
+    )  # fmt: skip
+    v_start: float = param("m/s", "speed at the start", 0.0, ge=0, le=1e3, tag="start speed")
 
     # A body this tall would tip over its wheels before they slip.
     relations = (Relation(lambda p: p.h >= p.wheelbase / 2, "h = {h:g} m must be below half of wheelbase = {wheelbase:g} m"),)
@@ -79,22 +84,22 @@ class Body(Component):
     parameters = BodyParameters
     tyre = Port(Tyre, "source")
     states = (
-        State("v", "m/s", "speed of the vehicle", signal=True, shown=True),
-        State("distance", "m", "distance driven", shown=True),
-        State("elevation", "m", "height above the start", shown=True),
-        State("trace_missed", "1", "whether the previous step missed its request", signal=True, neutral=0.0),
+        State("v", "m/s", "speed of the vehicle", signal=True, shown=True, tag="speed"),
+        State("distance", "m", "distance driven", shown=True, tag="distance"),
+        State("elevation", "m", "height above the start", shown=True, tag="elevation"),
+        State("trace_missed", "1", "whether the previous step missed its request", signal=True, neutral=0.0, tag="missed"),
         State("speed_ratio", "1", "end speed over the mean speed that the driveline offered, previous step", signal=True, neutral=1.0),
     )
     variables = (
-        Variable("v_request", "m/s", "requested speed at the end of the step"),
-        Variable("F_required", "N", "force that the request needs, before any limit"),
+        Variable("v_request", "m/s", "requested speed at the end of the step", tag="request"),
+        Variable("F_required", "N", "force that the request needs, before any limit", tag="asked force"),
         Variable("v_mean", "m/s", "mean speed of the step"),
-        Variable("trace_miss", "m/s", "request less achieved speed"),
-        Variable("overspeed", "m/s", "achieved less requested speed"),
-        Variable("P_aero", "W", "power lost to air drag", "loss"),
-        Variable("P_roll", "W", "power lost to rolling resistance", "loss"),
-        Variable("P_climb", "W", "rate of change of potential energy", "potential"),
-        Variable("P_kinetic", "W", "rate of change of the body's kinetic energy", "kinetic"),
+        Variable("trace_miss", "m/s", "request less achieved speed", tag="miss"),
+        Variable("overspeed", "m/s", "achieved less requested speed", tag="overspeed"),
+        Variable("P_aero", "W", "power lost to air drag", "loss", tag="air drag"),
+        Variable("P_roll", "W", "power lost to rolling resistance", "loss", tag="rolling resistance"),
+        Variable("P_climb", "W", "rate of change of potential energy", "potential", tag="vehicle climbing power"),
+        Variable("P_kinetic", "W", "rate of change of the body's kinetic energy", "kinetic", tag="vehicle kinetic power"),
         Variable("P_mismatch", "W", "power offered at the required speed less that at the achieved speed", "mismatch"),
         Variable("P_limit", "W", "power not used because a speed limit or standstill acts", "limit"),
         Variable("a_request", "m/s^2", "requested acceleration", signal=True),
@@ -165,9 +170,7 @@ class Body(Component):
             "next_elevation": elevation + v_mean * dt * grade / ca.sqrt(1 + grade**2),
             "next_trace_missed": v_request - v_end > self.p.v_miss,
             "next_speed_ratio": where(v_driveline > 0, v_end / ca.fmax(v_driveline, 1e-12), 0),
-            "P_aero": drag.aero * v_mean**3,
-            "P_roll": moving * drag.roll(v_mean) * v_mean,
-            "P_climb": drag.climb * v_mean,
+            **drag.powers(v_mean, moving, v_mean),
             "P_kinetic": m * (v_end - v) / dt * v_mean,
             "P_mismatch": tyre.F * (tyre.v - v_mean),
             "P_limit": (tyre.F - F_used) * v_mean,
@@ -192,15 +195,13 @@ class Body(Component):
     def motion(self, v: Expr, a: Expr, grade: Expr, wheel: Rolling, turning: Turning) -> Mapping[str, Any]:
         """Return what the tyres must carry at a speed and an acceleration, equation (1)."""
         drag, moving, size = self.resistance(grade, wheel), turning(v), ca.fabs(v)
-        # Both oppose the motion, backward too.
-        roll, aero = moving * drag.roll(size), drag.aero * size * v
+        # Drag and tyres oppose the motion, backward too.
+        resisting = moving * drag.roll(size) + drag.climb + drag.aero * size * v
         return {
-            "tyre": Tyre(self.p.m * a + roll + drag.climb + aero, v, a),
+            "tyre": Tyre(self.p.m * a + resisting, v, a),
             "der_v": a,
             "der_distance": v,
             "der_elevation": v * grade / ca.sqrt(1 + grade**2),
-            "P_aero": aero * v,
-            "P_roll": roll * v,
-            "P_climb": drag.climb * v,
+            **drag.powers(v, moving, size),
             "P_kinetic": self.p.m * a * v,
         }

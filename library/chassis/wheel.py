@@ -94,18 +94,20 @@ class Wheel(Component, Rolling):
     axle = Port(Shaft, "source")
     states = (State("v_before", "m/s", "required mean speed of the previous step"),)
     variables = (
-        Variable("F_limited", "N", "required force after the grip limit"),
-        Variable("v_limited", "m/s", "required mean speed after the grip limit", signal=True),
-        Variable("slip_limited", "1", "whether the grip limit acts", signal=True, kind="flag"),
+        Variable("F_limited", "N", "required force after the grip limit", tag="grip force"),
+        Variable("v_limited", "m/s", "required mean speed after the grip limit", signal=True, tag="grip speed"),
+        Variable(
+            "slip_limited", "1", "whether the grip limit acts", signal=True, kind="flag", tag="grip limit", warning="grip limit reached"
+        ),
         Variable("slip", "1", "slip of the driven axle, required"),
-        Variable("F_brake_front", "N", "friction brake force, front", signal=True),
-        Variable("F_brake_rear", "N", "friction brake force, rear", signal=True),
+        Variable("F_brake_front", "N", "friction brake force, front", signal=True, tag="brake force"),
+        Variable("F_brake_rear", "N", "friction brake force, rear", signal=True, tag="brake force"),
         Variable("F_friction_required", "N", "friction brake force that the split of the request asks for"),
         Variable("F_driveline_required", "N", "driveline force that the split of the request asks for"),
         Variable("v_driveline", "m/s", "mean vehicle speed that the driveline's speed allows", signal=True),
-        Variable("P_brake", "W", "power lost in the friction brakes", "loss"),
-        Variable("P_slip", "W", "power lost by slip", "loss"),
-        Variable("P_bearing", "W", "power lost in bearings", "loss"),
+        Variable("P_brake", "W", "power lost in the friction brakes", "loss", tag="friction brakes"),
+        Variable("P_slip", "W", "power lost by slip", "loss", tag="tyre slip"),
+        Variable("P_bearing", "W", "power lost in bearings", "loss", tag="wheel bearings"),
         Variable("P_kinetic", "W", "rate of change of the wheels' kinetic energy", "kinetic"),
         Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
     )

@@ -33,7 +33,9 @@ class ConventionalControlParameters(Parameters):
     """Speeds and switches of the control."""
 
     omega_idle: float = param("rad/s", "idling speed", ge=1, le=1e4)
-    launch_share: float = param("1", "launch speed over the engine's highest; at least 1.5 times idling speed", 0.2, ge=1e-3, le=0.999)
+    launch_share: float = param(
+        "1", "launch speed over the engine's highest; at least 1.5 times idling speed", 0.2, ge=1e-3, le=0.999, tag="launch share"
+    )
     idle_at_stop: float = param("1", "1 if the engine idles at stops, 0 if it is switched off", 1.0, ge=0, le=1)
     open_when_braking: float = param("1", "1 if the clutch opens whenever no torque is asked for", 0.0, ge=0, le=1)
 

@@ -41,7 +41,7 @@ PARTS = 5
 class SeriesControlParameters(Parameters):
     """Window of the state of charge, powers and times."""
 
-    soc_high: float = param("1", "state of charge above which the engine is off", 0.8, ge=1e-3, le=1)
+    soc_high: float = param("1", "state of charge above which the engine is off", 0.8, ge=1e-3, le=1, tag="highest charge")
     soc_low: float = param("1", "state of charge below which the engine is on", 0.4, ge=0, le=0.999)
     on_start: float = param("1", "1 if the engine is on at the start", 0.0, ge=0, le=1)
     P_min_share: float = param("1", "lowest engine power over its largest", 0.5, ge=1e-3, le=1)

@@ -36,8 +36,8 @@ class ShiftParameters(Parameters):
 
     up: Table = table("1", "load below which to shift up", SPEED, GEAR, clip=False)
     down: Table = table("1", "load above which to shift down", SPEED, GEAR, clip=False)
-    t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0, le=100)
-    t_hold: float = param("s", "shortest time between two changes of gear", 0.0, ge=0, le=1e12)
+    t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0, le=100, tag="shift time")
+    t_hold: float = param("s", "shortest time between two changes of gear", 0.0, ge=0, le=1e12, tag="hold time")
     t_raised: float = param("s", "shortest time between a change upward and the next one downward", 2.0, ge=0, le=1e12)
 
 
@@ -78,7 +78,7 @@ class Shift(Component):
         State("omega_estimate", "rad/s", "input speed at the end of the previous step, as achieved"),
     )
     variables = (
-        Variable("gear", "1", "gear", signal=True, kind="count"),
+        Variable("gear", "1", "gear", signal=True, kind="count", tag="gear"),
         Variable("ratio", "1", "ratio of the gear", signal=True),
         Variable("shifting", "1", "whether a shift is under way", signal=True, kind="flag"),
         Variable("load", "1", "estimated load of the machine"),

@@ -21,10 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import clip, where
@@ -57,7 +58,7 @@ class BatteryParameters(Parameters):
     u_min: float = param("V", "lowest voltage of a module", ge=0, le=1e4)
     u_max: float = param("V", "highest voltage of a module", ge=0.1, le=1e4)
     capacity_scale: float = param("1", "factor on the capacity", 1.0, ge=1e-3, le=1e3)
-    soc_start: float = param("1", "state of charge at the start", 0.7, ge=0, le=1)
+    soc_start: float = param("1", "state of charge at the start", 0.7, ge=0, le=1, tag="start charge")
     soc_empty: float = param("1", "state of charge up to which nothing is drawn", SOC_EMPTY, ge=0, le=0.999)
     soc_full: float = param("1", "state of charge from which on nothing is stored", SOC_FULL, ge=1e-3, le=1)
     T_start: float = param("K", "temperature at the start", 293.15, ge=200, le=400)
@@ -70,6 +71,22 @@ class BatteryParameters(Parameters):
     airflow: float = param("kg/s", "air flow of the fan at a module", ge=1e-6, le=10)
 
     relations = (Relation(lambda p: p.soc_empty >= p.soc_full, "soc_empty = {soc_empty:g} must be below soc_full = {soc_full:g}"),)
+
+    def ratings(self) -> Mapping[str, float]:
+        """Return the energy of the full pack [J]."""
+        return {"energy": pack_energy(self)}
+
+
+# A sweep asks for the same part again and again.
+@lru_cache(maxsize=64)
+def pack_energy(p: BatteryParameters) -> float:
+    """Return what a full pack stores at its start temperature, by its open-circuit voltage down to empty [J]."""
+    T, soc = p.u_oc.points
+    points = np.union1d(soc, (0.0, 1.0))
+    points = points[(points >= 0) & (points <= 1)]
+    u_oc = np.interp(points, soc, [np.interp(p.T_start, T, u) for u in p.u_oc.values.T])
+    Q = np.interp(p.T_start, p.Q.points[0], p.Q.values)
+    return float(p.n_modules * p.capacity_scale * Q * np.trapezoid(u_oc, points))
 
 
 class Circuit(NamedTuple):
@@ -101,8 +118,8 @@ class Battery(Component):
     dc = Port(Electric, "wheel")
     states = (
         State("charge_drawn", "C", "charge drawn from the full pack", shown=True),
-        State("T", "K", "temperature of the modules", shown=True),
-        State("soc", "1", "state of charge", shown=True),
+        State("T", "K", "temperature of the modules", shown=True, tag="temperature"),
+        State("soc", "1", "state of charge", shown=True, tag="charge"),
         State("U_supply", "V", "voltage at the end of the previous step", signal=True, neutral=0.0),
     )
     variables = (
@@ -112,7 +129,9 @@ class Battery(Component):
         Variable("P_loss", "W", "power lost", "loss"),
         Variable("P_battery_max", "W", "largest discharging power", signal=True),
         Variable("P_battery_min", "W", "largest charging power, negative", signal=True),
-        Variable("battery_limited", "1", "whether a limit of the battery acts", kind="flag"),
+        Variable(
+            "battery_limited", "1", "whether a limit of the battery acts", kind="flag", tag="store limit", warning="battery limit reached"
+        ),
     )
 
     def start(self) -> Mapping[str, Any]:

@@ -19,6 +19,7 @@ import casadi as ca
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
+from halfshaft.library.base.links import kinetic_rate
 from halfshaft.library.base.parameters import Parameters, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
@@ -48,7 +49,7 @@ class Generator(Component):
     kind = "generator"
     p: GeneratorParameters
     parameters = GeneratorParameters
-    dc = Port(Electric, "wheel")
+    dc = Port(Electric, "wheel", tags={"P": "generated"})
     shaft = Port(Shaft, "source")
     states = (State("omega_before", "rad/s", "speed of the previous step", neutral=0.0),)
     variables = (
@@ -92,7 +93,7 @@ class Generator(Component):
         tau_inertia = p.J * (shaft.omega - omega_before) / dt
         tau = ca.fmin(shaft.tau - tau_inertia, self.tau_max(omega))
         P = ca.fmax(0, ca.fmin(self.power(tau, omega), p.I_max * U_supply))
-        kinetic = p.J * (shaft.omega**2 - omega_before**2) / (2 * dt)
+        kinetic = kinetic_rate(p.J, omega_before, shaft.omega, dt)
         return {
             "dc": Electric(P),
             "P_loss": (shaft.tau - tau_inertia) * shaft.omega - P,

@@ -19,9 +19,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from halfshaft.library.base.component import From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
@@ -44,17 +46,43 @@ class MotorParameters(Parameters):
     P_electric: Table = table("W", "electric input power", SPEED, TORQUE, clip=False)
     tau_max: Table = table("N.m", "continuous driving torque", SPEED, clip=False)
     tau_min: Table = table("N.m", "continuous braking torque, negative", SPEED, clip=False)
-    omega_max: float = param("rad/s", "highest speed", ge=1, le=1e5)
+    omega_max: float = param("rad/s", "highest speed", ge=1, le=1e5, tag="top speed")
     J: float = param("kg.m^2", "rotor inertia", ge=0, le=100)
     overtorque: float = param("1", "short-time torque over continuous torque", 1.0, ge=0.01, le=100)
     I_max: float = param("A", "current limit of the controller", ge=0.1, le=1e9)
     U_min: float = param("V", "lowest supply voltage", 0.0, ge=0, le=1e4)
-    speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100)
+    speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100, tag="speed scale")
     torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
+
+    def ratings(self) -> Mapping[str, float]:
+        """Return the largest power at the shaft [W]."""
+        return {"traction power": peak_power(self)}
+
+
+# A sweep asks for the same part again and again.
+@lru_cache(maxsize=64)
+def peak_power(p: MotorParameters) -> float:
+    """Return the largest power at the shaft, overtorque included [W]."""
+    omega, tau = p.tau_max.points[0], p.tau_max.values
+    if omega[0] > 0 or omega[-1] < p.omega_max:
+        # The outermost pieces of the envelope are extended.
+        ends = np.array([0.0, p.omega_max])
+        omega, tau = np.append(omega, ends), np.append(tau, [p.tau_max(float(x)) for x in ends])
+        order = np.argsort(omega, kind="stable")
+        omega, tau = omega[order], tau[order]
+    inside = (omega >= 0) & (omega <= p.omega_max)
+    best = (tau * omega)[inside].max(initial=0.0)
+    # Between two points the torque is a line, so the power is a parabola.
+    slope = np.divide(np.diff(tau), np.diff(omega), out=np.zeros(len(omega) - 1), where=np.diff(omega) > 0)
+    falls = slope < 0
+    top = 0.5 * (omega[:-1][falls] - tau[:-1][falls] / slope[falls])
+    between = (top > omega[:-1][falls]) & (top < np.minimum(omega[1:][falls], p.omega_max))
+    best = max(best, (-slope[falls] * top**2)[between].max(initial=0.0))
+    return float(best * p.overtorque * p.torque_scale * p.speed_scale)
 
 
 @dataclass(frozen=True)
@@ -64,8 +92,8 @@ class Motor(TwoSided, Machine):
     kind = "motor"
     p: MotorParameters
     parameters = MotorParameters
-    shaft = Port(Shaft, "wheel")
-    dc = Port(Electric, "source")
+    shaft = Port(Shaft, "wheel", tags={"omega": "machine speed"})
+    dc = Port(Electric, "source", tags={"P": "traction input"})
     states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),)
     variables = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),

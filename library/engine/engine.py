@@ -19,7 +19,8 @@ Behind an open clutch (or before a genset is ready) the engine spins by itself t
 Geared to the wheels it follows them, after a missed trace at the speed actually reached (paper eq. 10), and holds them
 to its top speed.
 
-The engine has one face: a source with limits has no way back.  Left out: cold running, emissions, turbo lag.
+A source with limits has no way back: *speed* says how fast it turns, *torque* what it gives, *burn* what that costs.  Left
+out: cold running, emissions, turbo lag.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ import casadi as ca
 from halfshaft.library.base.component import Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
+from halfshaft.library.base.links import kinetic_rate
 from halfshaft.library.base.parameters import Parameters, Relation, param, table
 from halfshaft.library.base.ports import Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
@@ -55,8 +57,8 @@ class EngineParameters(Parameters):
     tau_max: Table = table("N.m", "largest torque", SPEED, clip=True)
     tau_closed: Table = table("N.m", "torque with closed throttle, negative", SPEED, clip=True)
     J: float = param("kg.m^2", "inertia", ge=0, le=100)
-    rho_fuel: float = param("kg/m^3", "density of the fuel", ge=0.01, le=1e4)
-    H_fuel: float = param("J/kg", "lower heating value of the fuel", ge=1e5, le=1e9)
+    rho_fuel: float = param("kg/m^3", "density of the fuel", ge=0.01, le=1e4, tag="fuel density")
+    H_fuel: float = param("J/kg", "lower heating value of the fuel", ge=1e5, le=1e9, tag="fuel heating value")
     speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100)
     torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
@@ -78,13 +80,13 @@ class Engine(Component, Machine):
         State("omega_free", "rad/s", "speed of the free engine, idling control left out"),
         State("command_before", "rad/s", "commanded speed of the previous step"),
         State("ratio_before", "1", "ratio of the gear in the previous step"),
-        State("fuel_used", "kg", "fuel burnt", shown=True),
+        State("fuel_used", "kg", "fuel burnt", shown=True, tag="fuel mass"),
     )
     variables = (
-        Variable("omega_engine", "rad/s", "speed of the engine", signal=True),
+        Variable("omega_engine", "rad/s", "speed of the engine", signal=True, tag="engine speed"),
         Variable("throttle_engine", "1", "that torque between closed and open throttle", signal=True),
-        Variable("tau_map", "N.m", "torque in the fuel map (eq. 2)"),
-        Variable("speed_limited", "1", "whether its top speed holds the vehicle", kind="flag"),
+        Variable("tau_map", "N.m", "torque in the fuel map (eq. 2)", tag="engine torque"),
+        Variable("speed_limited", "1", "whether its top speed holds the vehicle", kind="flag", warning="{part} at its top speed"),
         Variable("fuel_flow", "kg/s", "fuel flow (eq. 4)"),
         Variable("P_fuel", "W", "power in the fuel", "fuel"),
         Variable("P_loss", "W", "power lost", "loss"),
@@ -92,7 +94,10 @@ class Engine(Component, Machine):
         Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
         Variable("P_mismatch", "W", "power at the engine's own speed less that at the shaft", "mismatch"),
     )
-    plant_states = ((State("omega_engine", "rad/s", "speed of the engine", signal=True), "omega_own"), (states[4], "fuel_used"))
+    plant_states = (
+        (State("omega_engine", "rad/s", "speed of the engine", signal=True, tag="engine speed"), "omega_own"),
+        (states[4], "fuel_used"),
+    )
     reads = (
         From("control", omega_command="rad/s", engine_on="1", omega_idle="rad/s", clutch_open="1"),
         From("control", optional=True, clutch_slipping="1"),
@@ -142,24 +147,37 @@ class Engine(Component, Machine):
         scale = p.speed_scale * p.torque_scale / p.efficiency_scale
         return scale * p.fuel(omega / p.speed_scale, tau / p.torque_scale)
 
-    @face("omega_engine", "next_omega_free", "next_command_before", "next_ratio_before")
-    def speed(
-        self, omega_command: Expr, engine_on: Expr, omega_idle: Expr, clutch_open: Expr, dt: Expr,
-        omega_own: Expr, omega_free: Expr, command_before: Expr, trace_missed: Expr, speed_ratio: Expr,
-        ratio_before: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, tau_accessory_before: Expr = 0.0,
-        ratio: Expr = 1.0, J_shaft: Expr = 0.0,
-    ) -> Mapping[str, Any]:  # fmt: skip
-        """Estimate the engine's speed in this step."""
-        J = ca.fmax(self.p.J + J_shaft, 1e-6)
-        spin_up = ca.fmin(self.tau_max(omega_own), J * (omega_command - omega_own) / dt + tau_accessory_before)
+    def burnt(self, tau: Expr, omega: Expr, engine_on: Expr) -> tuple[Expr, Expr, Expr]:
+        """Return the fuel flow [kg/s], the power in it and the power lost [W]."""
+        flow = where(engine_on, self.fuel_flow(tau, omega), 0)
+        P_fuel = flow * self.p.H_fuel
+        return flow, P_fuel, P_fuel - tau * omega
+
+    @face("_free", "_reach")
+    def spin(
+        self, omega_command: Expr, omega_own: Expr, omega_free: Expr, dt: Expr, tau_accessory_before: Expr = 0.0, J_shaft: Expr = 0.0
+    ) -> Mapping[str, Any]:
+        """Return the speed that the engine comes to by itself, and the most that it could."""
+        J, highest = ca.fmax(self.p.J + J_shaft, 1e-6), self.tau_max(omega_own)
+        spin_up = ca.fmin(highest, J * (omega_command - omega_own) / dt + tau_accessory_before)
         tau_free = where(omega_command >= omega_own, spin_up, self.tau_closed(omega_own))
         per_tau = dt * (1 / J)
-        free = ca.fmax(omega_free + per_tau * (tau_free - tau_accessory_before), 0)
+        return {
+            "_free": ca.fmax(omega_free + per_tau * (tau_free - tau_accessory_before), 0),
+            "_reach": omega_own + per_tau * highest,
+        }
+
+    @face("omega_engine", "next_omega_free", "next_command_before", "next_ratio_before")
+    def speed(
+        self, _free: Expr, _reach: Expr, omega_command: Expr, engine_on: Expr, omega_idle: Expr, clutch_open: Expr,
+        command_before: Expr, trace_missed: Expr, speed_ratio: Expr, ratio_before: Expr,
+        clutch_slipping: Expr = 0.0, geared: Expr = 0.0, ratio: Expr = 1.0,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Estimate the engine's speed in this step."""
         follows = ca.logic_and(ca.logic_and(trace_missed, geared), ca.logic_not(clutch_slipping))
         geared_speed = where(follows, command_before * speed_ratio * ratio / ratio_before, omega_command)
         # A genset speeds up no faster than with all of its torque.
-        reached = where(geared, geared_speed, ca.fmin(omega_command, omega_own + per_tau * self.tau_max(omega_own)))
-        estimate = where(clutch_open, free, reached)
+        estimate = where(clutch_open, _free, where(geared, geared_speed, ca.fmin(omega_command, _reach)))
         omega = ca.fmax(ca.fmin(estimate, self.omega_max), omega_idle * engine_on)
         return {
             "omega_engine": omega,
@@ -169,15 +187,13 @@ class Engine(Component, Machine):
         }
 
     @face(
-        "shaft", "throttle_engine", "tau_map", "speed_limited", "fuel_flow", "P_fuel", "P_loss", "P_kinetic", "P_discretisation",
-        "P_mismatch", "next_omega_own", "next_fuel_used",
+        "shaft", "throttle_engine", "tau_map", "speed_limited", "P_kinetic", "P_discretisation", "P_mismatch", "next_omega_own"
     )  # fmt: skip
-    def available(
-        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
-        fuel_used: Expr, v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0,
-        J_shaft: Expr = 0.0,
+    def torque(
+        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
+        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
-        """Return the torque that the engine gives, equations (1) to (3), and the fuel that it burns, equation (4)."""
+        """Return the torque that the engine gives, equations (1) to (3)."""
         omega, closed, highest = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
         J_dt, change = self.p.J * (1 / dt), omega - omega_own
         # A genset that only spins turns its generator's rotor too.
@@ -195,30 +211,30 @@ class Engine(Component, Machine):
         # Behind an open clutch the shaft is the engine's own, and carries the accessories only; so is a genset's.
         turned = ca.logic_and(geared, ca.logic_not(clutch_open))
         omega_shaft = where(turned, ca.fmin(shaft.omega, self.omega_max), omega)
-        flow = where(engine_on, self.fuel_flow(tau_map, omega), 0)
-        P_fuel = flow * self.p.H_fuel
-        kinetic = J_dt / 2 * (own**2 - omega_own**2)
+        kinetic = kinetic_rate(self.p.J, omega_own, own, dt)
         return {
             "shaft": Shaft(tau, omega_shaft, where(geared, shaft.alpha, change / dt)),
             "throttle_engine": (tau_map - closed) / (highest - closed),
             "tau_map": tau_map,
             "speed_limited": ca.logic_and(turned, shaft.omega > self.omega_max * (1 - 1e-9)),
-            "fuel_flow": flow,
-            "P_fuel": P_fuel,
-            "P_loss": P_fuel - tau_map * omega,
             "P_kinetic": kinetic,
             "P_discretisation": (tau_map - tau) * omega - kinetic,
             "P_mismatch": tau * (omega - omega_shaft),
             "next_omega_own": own,
-            "next_fuel_used": fuel_used + dt * flow,
         }
+
+    @face("fuel_flow", "P_fuel", "P_loss", "next_fuel_used")
+    def burn(self, tau_map: Expr, omega_engine: Expr, engine_on: Expr, fuel_used: Expr, dt: Expr) -> Mapping[str, Any]:
+        """Return the fuel that the engine burns, equation (4)."""
+        flow, P_fuel, P_loss = self.burnt(tau_map, omega_engine, engine_on)
+        return {"fuel_flow": flow, "P_fuel": P_fuel, "P_loss": P_loss, "next_fuel_used": fuel_used + dt * flow}
 
     def audit(
         self, shaft: Shaft, omega_engine: Expr, tau_map: Expr, P_fuel: Expr, P_loss: Expr, P_kinetic: Expr, P_discretisation: Expr,
         fuel_used: Expr, next_fuel_used: Expr, dt: Expr, engine_on: Expr, clutch_open: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Compare fuel and torque with the map, equation (4), and with what shaft and rotor took, equation (3)."""
-        fuel = where(engine_on, self.p.H_fuel * self.fuel_flow(tau_map, omega_engine), 0)
+        _, fuel, _ = self.burnt(tau_map, omega_engine, engine_on)
         taken = shaft.tau * omega_engine + P_kinetic + P_discretisation
         return {
             "fuel map": P_fuel - fuel,
@@ -227,8 +243,8 @@ class Engine(Component, Machine):
             "torque at the shaft": where(clutch_open, 0, tau_map * omega_engine - taken),
         }
 
-    @plant("shaft", "der_omega_engine", "der_fuel_used", "tau_map", "speed_limited", "P_fuel", "P_loss", "P_kinetic")
-    def flow(
+    @plant("shaft", "der_omega_engine", "tau_map", "speed_limited", "P_kinetic")
+    def turn(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
         clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
@@ -249,15 +265,17 @@ class Engine(Component, Machine):
         idling = clip((omega_idle - omega_engine) / GOVERNOR_BAND, 0, 1)
         pedal = closed + ca.fmax(throttle_engine, idling) * (highest - closed)
         tau = where(engine_on, where(by_throttle, pedal, governed(omega_command)), closed)
-        flow = where(engine_on, self.fuel_flow(tau, omega_engine), 0)
         alpha = (tau - shaft.tau) / J
         return {
             "shaft": Shaft(shaft.tau, omega_engine, alpha),
             "der_omega_engine": alpha,
-            "der_fuel_used": flow,
             "tau_map": tau,
             "speed_limited": fade < 1,
-            "P_fuel": flow * self.p.H_fuel,
-            "P_loss": flow * self.p.H_fuel - tau * omega_engine,
             "P_kinetic": J * alpha * omega_engine,
         }
+
+    @plant("der_fuel_used", "P_fuel", "P_loss")
+    def fire(self, tau_map: Expr, omega_engine: Expr, engine_on: Expr) -> Mapping[str, Any]:
+        """Return the fuel that the engine burns, equation (4), in continuous time."""
+        flow, P_fuel, P_loss = self.burnt(tau_map, omega_engine, engine_on)
+        return {"der_fuel_used": flow, "P_fuel": P_fuel, "P_loss": P_loss}

@@ -60,7 +60,9 @@ def sources() -> tuple[ModuleType, ...]:
     return packages("halfshaft.components", "halfshaft.library")
 
 
-def _kinds() -> dict[str, type[Component]]:
+@cache
+def component_kinds() -> dict[str, type[Component]]:
+    """Return the kinds of components that a file can name."""
     found: dict[str, type[Component]] = {}
     for module in (module for package in sources() for module in modules(package)):
         for cls in vars(module).values():
@@ -70,7 +72,3 @@ def _kinds() -> dict[str, type[Component]]:
                     places = f"{other.__module__} and {cls.__module__}"
                     raise InputError(f"kind '{cls.kind}'", [f"is that of two components, in {places}; rename one"])
     return found
-
-
-#: The kinds of components that a file can name.
-KINDS: dict[str, type[Component]] = _kinds()

@@ -26,7 +26,7 @@ from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, spec_of
 from halfshaft.library.base.tables import Table
-from halfshaft.library.files.catalog import KINDS, data_files, sources
+from halfshaft.library.files.catalog import component_kinds, data_files, sources
 from halfshaft.library.files.notebook import Grid, card
 from halfshaft.library.files.texts import cleaned, name_problem, read_text
 from halfshaft.library.files.toml import toml_text, written
@@ -323,7 +323,7 @@ class ComponentFile:
     @property
     def component(self) -> type[Component]:
         """The class of the component."""
-        return KINDS[self.kind]
+        return component_kinds()[self.kind]
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -383,7 +383,7 @@ def parse_quantity(value: str | float, unit: str, where: str) -> float:
 def _library() -> dict[str, tuple[str, Traversable]]:
     """Return kind and place of all components of the library by name."""
     found: dict[str, tuple[str, Traversable]] = {}
-    for kind, path in ((k, path) for package in sources() for k in KINDS for path in data_files(package, k)):
+    for kind, path in ((k, path) for package in sources() for k in component_kinds() for path in data_files(package, k)):
         name = path.name.removesuffix(".toml")
         if name in found:
             raise InputError(f"component '{name}'", [f"stands twice in the library: {found[name][1]} and {path}; rename one"])
@@ -393,8 +393,8 @@ def _library() -> dict[str, tuple[str, Traversable]]:
 
 def component_names(kind: str | None = None) -> list[str]:
     """Return the names of the library's components, of one kind or all."""
-    if kind is not None and kind not in KINDS:
-        raise InputError("component_names", [f"'{kind}' is not a kind of component{nearest(kind, KINDS)}"])
+    if kind is not None and kind not in component_kinds():
+        raise InputError("component_names", [f"'{kind}' is not a kind of component{nearest(kind, component_kinds())}"])
     return [name for name, (k, _) in _library().items() if kind in (None, k)]
 
 
@@ -416,11 +416,11 @@ def read_component(source: str | Path, derived: Collection[str] = ()) -> Compone
             raise InputError(f"component '{source}'", [f"not in the library{nearest(source, library)}"])
         path = library[source][1]
     reader = Reader()
-    data = reader.toml(path, KINDS, {"parameters": dict})
+    data = reader.toml(path, component_kinds(), {"parameters": dict})
     reader.required(data, ("source",), "")
     values: dict[str, Any] = {}
-    if data.get("kind") in KINDS:
-        values = reader.parameters(data.get("parameters", {}), KINDS[data["kind"]].parameters, "parameters.", derived)
+    if data.get("kind") in component_kinds():
+        values = reader.parameters(data.get("parameters", {}), component_kinds()[data["kind"]].parameters, "parameters.", derived)
     reader.finish(str(path))
     file = ComponentFile(data["kind"], data["name"], data["title"], data["source"], str(path), values)
     if values.keys() >= set(derived):

@@ -25,4 +25,4 @@ def connect(m: Model) -> None:
     m.chain("gear.sun", "generator", "node.second")
 
 
-power_split = Powertrain("power-split", "power split hybrid", ROLES, connect)
+power_split = Powertrain("power_split", "power split hybrid", ROLES, connect)

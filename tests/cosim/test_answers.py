@@ -290,7 +290,7 @@ def test_a_file_of_version_0_1_is_read_without_an_origin(tmp_path):
 
 def test_a_file_of_a_later_version_is_refused(tmp_path):
     path = rewritten(done(SERIES), tmp_path / "new.nc", lambda plain: plain.update(format=99))
-    with pytest.raises(InputError, match="is a result of format 99, this version reads up to 2"):
+    with pytest.raises(InputError, match="is a result of format 99, this version reads up to 3"):
         Result.load(path)
 
 

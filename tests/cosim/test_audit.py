@@ -95,10 +95,10 @@ SLIPS = [
     (Battery, "rates", "P_stored", ELECTRIC, "store"),
     (Generator, "available", "dc", SERIES, "map"),
     (Generator, "available", "P_loss", SERIES, "loss"),
-    (Engine, "available", "P_fuel", SERIES, "fuel map"),
-    (Engine, "available", "next_fuel_used", SERIES, "fuel burnt"),
-    (Engine, "available", "P_loss", CONVENTIONAL, "loss"),
-    (Engine, "available", "shaft", CONVENTIONAL, "torque at the shaft"),
+    (Engine, "burn", "P_fuel", SERIES, "fuel map"),
+    (Engine, "burn", "next_fuel_used", SERIES, "fuel burnt"),
+    (Engine, "burn", "P_loss", CONVENTIONAL, "loss"),
+    (Engine, "torque", "shaft", CONVENTIONAL, "torque at the shaft"),
 ]
 
 

@@ -23,7 +23,7 @@ STEEP = Relation(lambda p: p.v_start > 10 * p.a_max, "v_start = {v_start:g} m/s 
 class Toy(NamedTuple):
     name: str = "toy"
     title: str = "Toy with <two> states"
-    states: tuple = (Description("body.v", "m/s", "speed"), Description("body.distance", "m", "distance"))
+    states: tuple = (Description("body.v", "m/s", "speed", tag="speed"), Description("body.distance", "m", "distance", tag="distance"))
     requests: tuple = (
         Description("v_request", "m/s", "requested speed at the end of the step"),
         Description("grade", "1", "slope of the road"),
@@ -34,7 +34,7 @@ class Toy(NamedTuple):
     parameters: tuple = (
         Description("body.a_max", "m/s^2", "largest acceleration", "real", 1.5, ABOVE_0, 20.0, allowed="> 0 m/s^2 and <= 20 m/s^2"),
         Description("body.k", "W.s^3/rad^3", "a coefficient", "real", 4.0),
-        Description("body.v_start", "m/s", "speed at the start", "real", 0.0, 0.0, allowed=">= 0 m/s"),
+        Description("body.v_start", "m/s", "speed at the start", "real", 0.0, 0.0, allowed=">= 0 m/s", tag="start speed"),
     )
     outputs: tuple = (
         Description("body.v", "m/s", "speed", state=0),

@@ -4,7 +4,7 @@ import os
 import pytest
 
 from halfshaft.library.base.errors import InputError
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 from halfshaft.library.files.component_file import component_names, parse_quantity, read_component
 
 HEAD = 'schema = 1\nkind = "motor"\nname = "m"\ntitle = "M"\nsource = "S"\n'
@@ -46,7 +46,7 @@ def test_a_good_file_gives_parameters_in_si(tmp_path):
     assert p.overtorque == 1.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", component_kinds())
 def test_every_kind_has_components_and_all_of_them_load(kind):
     names = component_names(kind)
     assert names
@@ -58,7 +58,7 @@ def test_every_kind_has_components_and_all_of_them_load(kind):
 
 def test_names_of_the_library_are_unique():
     names = component_names()
-    assert len(names) == len(set(names)) == sum(len(component_names(kind)) for kind in KINDS)
+    assert len(names) == len(set(names)) == sum(len(component_names(kind)) for kind in component_kinds())
 
 
 def test_motor_of_the_paper_has_the_figures_of_its_data_sheet():

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from halfshaft.library.files.component_file import component_names, read_component
-from halfshaft.library.ratings import pack_energy, peak_power
 
 
 @pytest.mark.parametrize("name", component_names("motor"))
@@ -11,8 +10,8 @@ def test_no_speed_gives_more_than_the_peak_power(name):
     omega = np.linspace(0, p.omega_max, 2001)
     power = 1.5 * 0.8 * 1.25 * np.array([p.tau_max(float(x)) * x for x in omega])
     # The grid misses the corner by 1e-3 of the range at most.
-    assert power.max() <= peak_power(p) * (1 + 1e-12)
-    assert power.max() == pytest.approx(peak_power(p), rel=2e-3)
+    assert power.max() <= p.ratings()["traction power"] * (1 + 1e-12)
+    assert power.max() == pytest.approx(p.ratings()["traction power"], rel=2e-3)
 
 
 @pytest.mark.parametrize("name", component_names("battery"))
@@ -21,4 +20,4 @@ def test_a_pack_gives_its_energy_when_it_is_emptied_slowly(name):
     soc = np.linspace(1, 0, 1001)
     u = np.array([p.u_oc(p.T_start, float(x)) for x in soc])
     energy = 10 * 1.3 * p.Q(p.T_start) * np.sum((u[1:] + u[:-1]) / 2) / 1000
-    assert pack_energy(p) == pytest.approx(energy, rel=1e-4)
+    assert p.ratings()["energy"] == pytest.approx(energy, rel=1e-4)

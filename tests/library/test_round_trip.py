@@ -15,14 +15,14 @@ from halfshaft.library.base.links import TwoSided, continuous
 from halfshaft.library.base.ports import Electric, Shaft, Tyre
 from halfshaft.library.driveline.clutch import Clutch
 from halfshaft.library.electric.motor import OMEGA_OFF
-from halfshaft.library.files.catalog import KINDS
+from halfshaft.library.files.catalog import component_kinds
 from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.models.assembly import StepDirection, step_turning
 from halfshaft.models.forward import PlantDirection, plant_turning
 
 N = 200
 DT = 0.7
-TWO_SIDED = [kind for kind, component in KINDS.items() if issubclass(component, TwoSided)]
+TWO_SIDED = [kind for kind, component in component_kinds().items() if issubclass(component, TwoSided)]
 
 share = ca.SX.sym("share")
 

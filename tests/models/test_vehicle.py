@@ -4,7 +4,7 @@ import pytest
 
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.parameters import tables
-from halfshaft.models.powertrain import powertrains
+from halfshaft.models.powertrain import Derived, Powertrain, powertrains
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 SERIES = Vehicle.load("small-car-series")
@@ -41,8 +41,18 @@ def test_every_vehicle_loads_and_fills_all_roles(name):
 @pytest.mark.parametrize("powertrain", powertrains().values(), ids=lambda p: p.name)
 def test_a_powertrain_derives_from_roles_that_it_has(powertrain):
     for d in powertrain.derived:
-        assert {d.role, *(role for rule in d.rules for role in rule.needs)} <= powertrain.roles.keys()
+        assert {d.role, *(d.of.get(name, name) for rule in d.rules for name in rule.needs)} <= powertrain.roles.keys()
     assert all(powertrain.kinds(role) for role in powertrain.roles)
+
+
+def test_a_powertrain_says_all_that_is_wrong_with_its_names():
+    with pytest.raises(InputError) as e:
+        Powertrain("rear-motor", "", {"Body": ("body",)}, lambda m: None, (Derived("control.x", ()),))
+    assert list(e.value.problems) == [
+        "'rear-motor' must be of lower-case words with _ between them",
+        "'Body' must be of lower-case words with _ between them",
+        "control.x is derived, but there is no role control",
+    ]
 
 
 @pytest.mark.parametrize("mass", [1459, 1936, 2393])

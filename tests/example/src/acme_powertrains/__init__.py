@@ -1,0 +1,1 @@
+"""A propeller shaft, and the electric car with one."""
