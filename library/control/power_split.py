@@ -7,7 +7,8 @@ In each step, with the power ``P`` that the ring is asked for:
 2. it is to give ``P`` and a charging power in proportion to how far the state of charge is below its target;
 3. its speed is that of least fuel at this power and the one that speeds up its own rotor;
 4. within its own top speed and what the generator's leaves to it; never below its lowest running speed;
-5. from a certain ``P`` on it gives all that it can, at the highest speed allowed.
+5. from a certain ``P`` on it gives all that it can, at the highest speed allowed;
+6. its torque is no more than the generator can hold.
 
 The engine counts as hot: the original waits for the coolant before it stops the engine.  The rotor's power is reckoned over
 `t_inertia` at least, which is the original's step; over shorter ones the command would swing from end to end.  An engine slows
@@ -141,6 +142,7 @@ class PowerSplitControl(Component):
         omega = where(full, highest, ca.fmax(clip(omega, lowest, highest), p.omega_lowest))
         slowest = omega_own + dt * engine.tau_closed(omega_own) / ca.fmax(engine.p.J, 1e-6)
         omega = ca.fmax(where(on, omega, 0), slowest)
-        highest = engine.tau_max(omega)
+        held = generator.tau_envelope(ca.fabs(gear.omega_sun(omega, omega_ring))) / (1 - gear.share)
+        highest = ca.fmin(engine.tau_max(omega), held)
         tau = where(full, highest, ca.fmin(P / ca.fmax(omega, p.omega_lowest), highest))
         return {"omega_command": omega, "tau_command": where(on, tau, 0)}

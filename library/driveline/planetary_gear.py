@@ -4,12 +4,11 @@ With the numbers of teeth ``r`` and ``s`` of ring and sun, and neither mass nor 
 
     omega_sun = (1 + r/s) omega_carrier - r/s omega_ring                     (1)
     tau_sun   = -s/(r + s) tau_carrier                                       (2)
-    tau_motor = tau_load - r/(r + s) tau_carrier,  omega_motor = omega_ring  (3)
+    tau_motor = tau_load + r/s tau_sun,       omega_motor = omega_ring       (3)
 
-all torques as they drive the gear.  The engine is asked first, at the point that the control commands; generator and motor
-are asked for what follows from what it offers.  On the way back the carrier holds no more than the sun does::
-
-    tau_load  = tau_motor - r/s tau_sun,           omega_load = omega_motor  (4)
+all torques as they drive the gear.  The engine is asked first, at the point that the control commands; then the generator, by
+what the engine offers; then the motor, by what the generator is able to hold.  On the way back (3) gives the torque of the load,
+at the speed of the motor; what the engine offers beyond (2) is booked as mismatch.
 """
 
 from __future__ import annotations
@@ -49,7 +48,10 @@ class PlanetaryGear(Junction):
     )
     #: The sun's torque follows from the carrier's.
     free = ("carrier",)
-    reads = (From("control", tau_command="N.m", omega_command="rad/s"),)
+    reads = (
+        From("control", tau_command="N.m", omega_command="rad/s"),
+        From("generator", tau_able="N.m", along=("sun",)),
+    )
 
     @property
     def share(self) -> Expr:
@@ -79,12 +81,12 @@ class PlanetaryGear(Junction):
         omega, alpha = (self.omega_sun(getattr(carrier, f), getattr(ring, f)) for f in ("omega", "alpha"))
         return Shaft(-(1 - self.share) * carrier.tau, omega, alpha)
 
-    def ask_motor(self, ring: Shaft, carrier: Shaft) -> Shaft:
+    def ask_motor(self, ring: Shaft, tau_able: Expr) -> Shaft:
         """Return equation (3)."""
-        return ring._replace(tau=ring.tau - self.share * carrier.tau)
+        return ring._replace(tau=ring.tau + self.p.r / self.p.s * tau_able)
 
     def join(self, ring: Shaft, sun: Shaft, motor: Shaft) -> Shaft:
-        """Return equation (4)."""
+        """Return equation (3), turned round."""
         return Shaft(motor.tau - self.p.r / self.p.s * sun.tau, motor.omega, ring.alpha)
 
     @plant("carrier")
@@ -95,5 +97,6 @@ class PlanetaryGear(Junction):
     @plant("sun", "motor", "P_loss")
     def flow(self, ring: Shaft, carrier: Shaft) -> Mapping[str, Any]:
         """Return equations (1) to (3) in continuous time, at the speed and acceleration of the engine."""
-        sun, motor = self.ask_sun(ring, carrier), self.ask_motor(ring, carrier)
+        sun = self.ask_sun(ring, carrier)
+        motor = self.ask_motor(ring, sun.tau)
         return {"sun": sun, "motor": motor, "P_loss": carrier.P + sun.P + motor.P - ring.P}

@@ -16,8 +16,8 @@ import casadi as ca
 from halfshaft.library.base.component import From, Variable, plant
 from halfshaft.library.base.expressions import Turning, where
 from halfshaft.library.base.links import Link, continuous
-from halfshaft.library.base.ports import Expr, Shaft
-from halfshaft.library.electric.motor import Motor
+from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
+from halfshaft.library.electric.motor import Motor, MotorParameters
 
 
 def mirror(shaft: Shaft) -> Shaft:
@@ -32,16 +32,29 @@ def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
     return Shaft(*(facing * x for x in offered))
 
 
+@dataclass(frozen=True, kw_only=True)
+class MotorGeneratorParameters(MotorParameters):
+    """Maps, limits and scales of a machine that turns forward; backward they are mirrored."""
+
+    def ratings(self) -> Mapping[str, float]:
+        """Return nothing: it is not there to drive the vehicle."""
+        return {}
+
+
 @dataclass(frozen=True)
 class MotorGenerator(Motor):
     """Motor and controller that run from the highest speed backward to the highest forward."""
 
     kind = "motor-generator"
+    p: MotorGeneratorParameters
+    parameters = MotorGeneratorParameters
+    dc = Port(Electric, "source")
     states = ()
     variables = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope, seen from where it turns forward"),
         Variable("throttle_motor", "1", "that torque over the envelope, positive if it drives forward or brakes backward", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit"),
+        Variable("tau_able", "N.m", "torque at the shaft within the envelope", signal=True),
     )
     reads = (
         From("battery", U_supply="V"),
@@ -55,9 +68,12 @@ class MotorGenerator(Motor):
         return (Link(mirror, back, "", name="mirror"), *super().chain(0, 0, 0, U_supply, turning))
 
     def found(self, way: Mapping[str, tuple[Shaft, Shaft]]) -> Mapping[str, Any]:
-        """Return the throttle, in the sense of the shaft."""
-        facing = where(way["mirror"][0].omega < 0, -1, 1)
-        return {"throttle_motor": facing * super().found(way)["throttle_motor"]}
+        """Return the throttle, and what the machine can give if it gets the power, both in the sense of the shaft."""
+        asked, facing = way["mirror"][0], where(way["mirror"][0].omega < 0, -1, 1)
+        return {
+            "throttle_motor": facing * super().found(way)["throttle_motor"],
+            "tau_able": facing * way["map"][0].tau - self.p.J * asked.alpha,
+        }
 
     @plant("dc", "P_loss", "P_kinetic", "_tau", "_omega", "_P")
     def flow(self, shaft: Shaft, turning: Turning) -> Mapping[str, Any]:
