@@ -12,7 +12,7 @@ In each step, with the power ``P`` that the ring is asked for:
 
 The engine counts as hot: the original waits for the coolant before it stops the engine.  The rotor's power is reckoned over
 `t_inertia` at least, which is the original's step; over shorter ones the command would swing from end to end.  An engine slows
-down no faster than with closed throttle, so that steps may be as short as one likes.
+down no faster than closed throttle lets it and the generator's rotor, so that steps may be as short as one likes.
 
 While a search looks for the best end speed the engine keeps the power that the first request asked for, and its being on: so
 the search moves the motor alone, and what is lost at a limit is not lost once more by an engine that follows it.
@@ -28,11 +28,11 @@ import casadi as ca
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import clip, where
-from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.parameters import Parameters, param, table
 from halfshaft.library.base.ports import Expr
 from halfshaft.library.base.tables import Axis, Table
 from halfshaft.library.driveline.planetary_gear import PlanetaryGear
+from halfshaft.library.electric.motor_generator import MotorGenerator
 from halfshaft.library.engine.engine import Engine
 
 
@@ -89,7 +89,7 @@ class PowerSplitControl(Component):
         From("gear", PlanetaryGear),
         From("engine", Engine),
         From("engine", omega_own="rad/s"),
-        From("generator", Machine, along=("gear", "sun")),
+        From("generator", MotorGenerator, along=("gear", "sun")),
     )
 
     @face("omega_idle", "clutch_open")
@@ -124,7 +124,14 @@ class PowerSplitControl(Component):
 
     @face("omega_command", "tau_command")
     def operate(
-        self, _decision: Decision, omega_ring: Expr, omega_own: Expr, dt: Expr, gear: PlanetaryGear, engine: Engine, generator: Machine
+        self,
+        _decision: Decision,
+        omega_ring: Expr,
+        omega_own: Expr,
+        dt: Expr,
+        gear: PlanetaryGear,
+        engine: Engine,
+        generator: MotorGenerator,
     ) -> Mapping[str, Any]:
         """Return the engine's operating point."""
         p, (on, full, P) = self.p, _decision
@@ -140,7 +147,8 @@ class PowerSplitControl(Component):
         omega = best(P)
         omega = best(P + omega * engine.p.J * (omega - omega_own) / ca.fmax(dt, p.t_inertia))
         omega = where(full, highest, ca.fmax(clip(omega, lowest, highest), p.omega_lowest))
-        slowest = omega_own + dt * engine.tau_closed(omega_own) / ca.fmax(engine.p.J, 1e-6)
+        J = engine.p.J + generator.p.J * gear.omega_sun(1, 0) ** 2
+        slowest = omega_own + dt * engine.tau_closed(omega_own) / ca.fmax(J, 1e-6)
         omega = ca.fmax(where(on, omega, 0), slowest)
         held = generator.tau_envelope(ca.fabs(gear.omega_sun(omega, omega_ring))) / (1 - gear.share)
         highest = ca.fmin(engine.tau_max(omega), held)
