@@ -85,7 +85,7 @@ class PowerSplitControl(Component):
     reads = (
         From("body", v="m/s"),
         From("battery", soc_before="1", U_supply="V"),
-        From("gear", tau_ring="N.m", omega_ring="rad/s"),
+        From("gear", tau_ring="N.m", omega_ring="rad/s", omega_ring_turning="rad/s"),
         From("gear", PlanetaryGear),
         From("engine", Engine),
         From("engine", omega_own="rad/s"),
@@ -126,7 +126,7 @@ class PowerSplitControl(Component):
     def operate(
         self,
         _decision: Decision,
-        omega_ring: Expr,
+        omega_ring_turning: Expr,
         omega_own: Expr,
         dt: Expr,
         gear: PlanetaryGear,
@@ -141,8 +141,8 @@ class PowerSplitControl(Component):
             return engine.p.speed_scale * p.omega_best(P / scale)
 
         top = generator.omega_max
-        highest = ca.fmin(gear.omega_carrier(top, omega_ring), engine.omega_max)
-        lowest = gear.omega_carrier(-top, omega_ring)
+        highest = ca.fmin(gear.omega_carrier(top, omega_ring_turning), engine.omega_max)
+        lowest = gear.omega_carrier(-top, omega_ring_turning)
         lowest = where(lowest > 0, ca.fmax(lowest, p.omega_lowest), 0)
         omega = best(P)
         omega = best(P + omega * engine.p.J * (omega - omega_own) / ca.fmax(dt, p.t_inertia))
@@ -150,7 +150,7 @@ class PowerSplitControl(Component):
         J = engine.p.J + generator.p.J * gear.omega_sun(1, 0) ** 2
         slowest = omega_own + dt * engine.tau_closed(omega_own) / ca.fmax(J, 1e-6)
         omega = ca.fmax(where(on, omega, 0), slowest)
-        held = generator.tau_envelope(ca.fabs(gear.omega_sun(omega, omega_ring))) / (1 - gear.share)
+        held = generator.tau_envelope(ca.fabs(gear.omega_sun(omega, omega_ring_turning))) / (1 - gear.share)
         highest = ca.fmin(engine.tau_max(omega), held)
         tau = where(full, highest, ca.fmin(P / ca.fmax(omega, p.omega_lowest), highest))
         return {"omega_command": omega, "tau_command": where(on, tau, 0)}

@@ -17,7 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from halfshaft.library.base.component import From, Signal, face, plant
+from halfshaft.library.base.component import From, Signal, State, face, plant
+from halfshaft.library.base.expressions import where
 from halfshaft.library.base.junction import Junction
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Expr, Port, Shaft
@@ -42,14 +43,21 @@ class PlanetaryGear(Junction):
     carrier = Port(Shaft, "source")
     sun = Port(Shaft, "source")
     motor = Port(Shaft, "source")
+    states = (
+        State("omega_reached", "rad/s", "speed that the ring's shaft had reached at the end of the previous step"),
+        State("alpha_reached", "rad/s^2", "its acceleration in the previous step"),
+    )
     signals = (
         Signal("tau_ring", "N.m", "required torque at the ring's shaft"),
         Signal("omega_ring", "rad/s", "required speed of the ring's shaft"),
+        Signal("omega_ring_turning", "rad/s", "the same, after a missed trace what was reached"),
     )
     #: The sun's torque follows from the carrier's.
     free = ("carrier",)
     reads = (
+        From("body", trace_missed="1", next_speed_ratio="1"),
         From("control", tau_command="N.m", omega_command="rad/s"),
+        From("engine", omega_engine="rad/s", along=("carrier",)),
         From("generator", tau_able="N.m", along=("sun",)),
     )
 
@@ -67,19 +75,34 @@ class PlanetaryGear(Junction):
         """Return the speed of the carrier at which sun and ring turn as given [rad/s]."""
         return self.share * ring + (1 - self.share) * sun
 
-    @face("tau_ring", "omega_ring")
-    def demand(self, ring: Shaft) -> Mapping[str, Any]:
+    def turning(self, ring: Shaft, trace_missed: Expr, omega_reached: Expr, alpha_reached: Expr) -> Shaft:
+        """Return the ring's point as it turns: as required, after a missed trace as it was reached (paper eq. 10)."""
+        return Shaft(ring.tau, where(trace_missed, omega_reached, ring.omega), where(trace_missed, alpha_reached, ring.alpha))
+
+    @face("tau_ring", "omega_ring", "omega_ring_turning")
+    def demand(self, ring: Shaft, trace_missed: Expr, omega_reached: Expr, alpha_reached: Expr) -> Mapping[str, Any]:
         """Publish the demand, which the control looks at."""
-        return {"tau_ring": ring.tau, "omega_ring": ring.omega}
+        turning = self.turning(ring, trace_missed, omega_reached, alpha_reached)
+        return {"tau_ring": ring.tau, "omega_ring": ring.omega, "omega_ring_turning": turning.omega}
+
+    @face("next_omega_reached", "next_alpha_reached")
+    def remember(self, motor: Shaft, next_speed_ratio: Expr, omega_reached: Expr, dt: Expr) -> Mapping[str, Any]:
+        """Keep what the ring has come to."""
+        reached = motor.omega * next_speed_ratio
+        return {"next_omega_reached": reached, "next_alpha_reached": (reached - omega_reached) / dt}
 
     def ask_carrier(self, tau_command: Expr, omega_command: Expr) -> Shaft:
         """Return the commanded point of the engine."""
         return Shaft(tau_command, omega_command, 0.0)
 
-    def ask_sun(self, ring: Shaft, carrier: Shaft) -> Shaft:
+    def sun_of(self, ring: Shaft, carrier: Shaft) -> Shaft:
         """Return equations (1) and (2)."""
         omega, alpha = (self.omega_sun(getattr(carrier, f), getattr(ring, f)) for f in ("omega", "alpha"))
         return Shaft(-(1 - self.share) * carrier.tau, omega, alpha)
+
+    def ask_sun(self, ring: Shaft, carrier: Shaft, trace_missed: Expr, omega_reached: Expr, alpha_reached: Expr) -> Shaft:
+        """Return equations (1) and (2)."""
+        return self.sun_of(self.turning(ring, trace_missed, omega_reached, alpha_reached), carrier)
 
     def ask_motor(self, ring: Shaft, tau_able: Expr) -> Shaft:
         """Return equation (3)."""
@@ -90,13 +113,13 @@ class PlanetaryGear(Junction):
         return Shaft(motor.tau - self.p.r / self.p.s * sun.tau, motor.omega, ring.alpha)
 
     @plant("carrier")
-    def divide(self, tau_carrier: Expr) -> Mapping[str, Any]:
-        """Return the torque that the carrier takes; at which speed is the engine's to say."""
-        return {"carrier": Shaft(tau_carrier, 0.0, 0.0)}
+    def divide(self, tau_carrier: Expr, omega_engine: Expr) -> Mapping[str, Any]:
+        """Return the torque that the carrier takes at the speed of the engine."""
+        return {"carrier": Shaft(tau_carrier, omega_engine, 0.0)}
 
     @plant("sun", "motor", "P_loss")
     def flow(self, ring: Shaft, carrier: Shaft) -> Mapping[str, Any]:
         """Return equations (1) to (3) in continuous time, at the speed and acceleration of the engine."""
-        sun = self.ask_sun(ring, carrier)
+        sun = self.sun_of(ring, carrier)
         motor = self.ask_motor(ring, sun.tau)
         return {"sun": sun, "motor": motor, "P_loss": carrier.P + sun.P + motor.P - ring.P}

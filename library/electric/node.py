@@ -61,11 +61,12 @@ class Node(Component):
         """Compare what came with what went."""
         return {"sum": supply.P - first.P - second.P}
 
-    @plant("supply", "P_spare_out", "P_spare_in")
-    def flow(self, first: Electric, second: Electric, P_room_out: Expr, P_room_in: Expr) -> Mapping[str, Any]:
-        """Return equation (1) in continuous time, and what the second machine may still do once the first has given way."""
-        return {
-            "supply": Electric(first.P + second.P),
-            "P_spare_out": P_room_out + ca.fmax(first.P, 0),
-            "P_spare_in": P_room_in + ca.fmax(-first.P, 0),
-        }
+    @plant("supply")
+    def flow(self, first: Electric, second: Electric) -> Mapping[str, Any]:
+        """Return equation (1) in continuous time."""
+        return self.required(first, second)
+
+    @plant("P_spare_out", "P_spare_in")
+    def spare(self, first: Electric, P_room_out: Expr, P_room_in: Expr) -> Mapping[str, Any]:
+        """Return what the second machine may still do once the first has given way."""
+        return {"P_spare_out": P_room_out + ca.fmax(first.P, 0), "P_spare_in": P_room_in + ca.fmax(-first.P, 0)}
