@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -94,14 +94,16 @@ class Motor(TwoSided, Machine):
     parameters = MotorParameters
     shaft = Port(Shaft, "wheel", tags={"omega": "machine speed"})
     dc = Port(Electric, "source", tags={"P": "traction input"})
-    states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),)
-    variables = (
+    states: ClassVar[tuple[State, ...]] = (
+        State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),
+    )
+    variables: ClassVar[tuple[Variable, ...]] = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
         Variable("throttle_motor", "1", "that torque over the envelope, negative while braking", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
     )
     signals = (Signal("U_min", "V", "lowest supply voltage"),)
-    reads = (
+    reads: ClassVar[tuple[From, ...]] = (
         From("body", trace_missed="1", speed_ratio="1"),
         From("battery", U_supply="V"),
         From("shift", optional=True, shifting="1"),

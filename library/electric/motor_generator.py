@@ -83,7 +83,7 @@ class MotorGenerator(Motor):
         return {"dc": power, "P_loss": booked.loss, "P_kinetic": booked.kinetic, "_tau": tau, "_omega": shaft.omega, "_P": power.P}
 
     @plant("balance")
-    def drive(  # type: ignore[override]
+    def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_spare_out: Expr, P_spare_in: Expr, U: Expr
     ) -> Mapping[str, Any]:
         """Say when the machine gives what the motion needs: the throttle's torque, or less where power or current end."""

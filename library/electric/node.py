@@ -64,7 +64,7 @@ class Node(Component):
     @plant("supply")
     def flow(self, first: Electric, second: Electric) -> Mapping[str, Any]:
         """Return equation (1) in continuous time."""
-        return self.required(first, second)
+        return {"supply": Electric(first.P + second.P)}
 
     @plant("P_spare_out", "P_spare_in")
     def spare(self, first: Electric, P_room_out: Expr, P_room_in: Expr) -> Mapping[str, Any]:
