@@ -147,8 +147,8 @@ def drive(parameters, samples):
         I_min = min(0.0, (U_oc - N * pack.u_max) / R_in)
         P_out, R = min(P_bus, P_max), R_out if P_bus >= 0 else R_in
         P_out = 0.0 if soc >= pack.soc_full and P_bus < 0 else P_out
-        current = max((U_oc - math.sqrt(max(U_oc**2 - 4 * R * P_out, 0))) / (2 * R), I_min)
-        limited = P_out != P_bus or (U_oc - math.sqrt(max(U_oc**2 - 4 * R * P_out, 0))) / (2 * R) < I_min
+        current = 2 * P_out / (U_oc + math.sqrt(max(U_oc**2 - 4 * R * P_out, 0)))
+        limited, current = P_out != P_bus or current < I_min, max(current, I_min)
         U = U_oc - R * current
         P_pack = U * current if limited else P_bus
         eta = 1.0 if current >= 0 else look(pack.eta_coulomb, T)
