@@ -15,7 +15,7 @@ import numpy.typing as npt
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.units import Units, shown
 from halfshaft.library.base.tags import part_of
-from halfshaft.library.electric.battery import SOC_FULL
+from halfshaft.library.electric.store import SOC_FULL
 
 if TYPE_CHECKING:
     from halfshaft.cosim.result import Result

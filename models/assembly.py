@@ -171,21 +171,23 @@ def _described_outputs(model: Model, parts: Mapping[str, Component], states: lis
         for c in model.connections:
             required: Key = ("required", c.supply, c.supply_port.name)
             available: Key = ("available", c.supply, c.supply_port.name)
-            at_supply, at_load = model.endings(c)
+            into, out = model.suffixes(c)
             fields, supplied = [f for f in SHOWN[c.supply_port.kind] if f != "P"], c.supply_port.tags
             if c.supply == name:
                 for f in fields:
-                    full, what = f"{name}.{f}{at_supply}", f"{MEANINGS[f]} toward the wheel"
-                    found.append((Description(full, UNITS[f], f"{what}, available", tag=supplied.get(f, "")), available, f))
-                    found.append((Description(f"{full}_required", UNITS[f], f"{what}, required"), required, f))
-                full = f"{name}.P_out{at_supply}"
-                found.append((Description(full, "W", "power toward the wheel, available", tag=supplied.get("P", "")), available, "P"))
+                    offered = Description(
+                        f"{name}.{f}{out}", UNITS[f], f"{MEANINGS[f]} toward the wheel, available", tag=supplied.get(f, "")
+                    )
+                    found.append((offered, available, f))
+                    asked = Description(f"{name}.{f}{out}_required", UNITS[f], f"{MEANINGS[f]} toward the wheel, required")
+                    found.append((asked, required, f))
+                power = Description(f"{name}.P_out{out}", "W", "power toward the wheel, available", tag=supplied.get("P", ""))
+                found.append((power, available, "P"))
             if c.load == name:
-                full = f"{name}.P_in{at_load}"
-                came = Description(full, "W", "power from the source, available", tag=c.load_port.tags.get("P", ""))
+                came = Description(f"{name}.P_in{into}", "W", "power from the source, available", tag=c.load_port.tags.get("P", ""))
                 found.append((came, available, "P"))
                 if not fields:
-                    found.append((Description(f"{full}_required", "W", "power from the source, required"), required, "P"))
+                    found.append((Description(f"{name}.P_in{into}_required", "W", "power from the source, required"), required, "P"))
     return found
 
 

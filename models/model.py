@@ -83,12 +83,6 @@ class Model:
             if ends[0] and ends[1]:
                 self.connect(ends[0], ends[1])
 
-    def endings(self, c: Connection) -> tuple[str, str]:
-        """Return how the names end of what is shown of a connection, at its supply and at its load: by port, where there are several."""
-        supplies = sum(other.supply == c.supply for other in self.connections)
-        loads = sum(other.load == c.load for other in self.connections)
-        return f"_{c.supply_port.name}" if supplies > 1 else "", f"_{c.load_port.name}" if loads > 1 else ""
-
     def _end(self, place: str, side: Side) -> PortOf | None:
         """Return the port of a place in a chain that looks toward a side."""
         name, _, given = place.partition(".")
@@ -104,6 +98,11 @@ class Model:
         said = f"has the {toward}s {' and '.join(port.name for port in ports)}; say which" if ports else f"has no {toward}"
         self._problems.append(f"{name} {said}")
         return None
+
+    def suffixes(self, c: Connection) -> tuple[str, str]:
+        """Return what follows the names of outputs at the load's and at the supply's end, where a part has several ports that way."""
+        load = f"_{c.load_port.name}" if sum(other.load == c.load for other in self.connections) > 1 else ""
+        return load, f"_{c.supply_port.name}" if sum(other.supply == c.supply for other in self.connections) > 1 else ""
 
     def check(self) -> list[str]:
         """Return what is wrong with the connections."""

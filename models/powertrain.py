@@ -18,7 +18,7 @@ from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.files.catalog import component_kinds, data_files, modules, packages
 from halfshaft.models.model import Model
-from halfshaft.models.rules import Rule, Sets
+from halfshaft.models.rules import Rule, Sets, SumOfParts
 
 #: Names of powertrains and roles.
 NAME = re.compile("[a-z][a-z0-9]*(_[a-z0-9]+)*")
@@ -49,7 +49,12 @@ class Derived:
 
     def value(self, rule: Rule, sets: Sets) -> Any:
         """Return what a rule derives from the parameters by role."""
-        return rule({name: sets[self.of.get(name, name)] for name in rule.needs})
+        needs = [role for role in sets if role != self.role] if rule.needs is None else rule.needs
+        return rule({name: sets[self.of.get(name, name)] for name in needs})
+
+
+#: The mass that follows from the parts; for every powertrain with a body.
+MASS = Derived("body.m", (SumOfParts,))
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ Sets: TypeAlias = Mapping[str, Parameters]
 class Rule(Parameters):
     """Derives the value of one parameter from other parts; its own numbers are those that a vehicle's file gives it."""
 
-    #: What a file calls it, and its own names for the parts that it looks at.
+    #: What a file calls it, and its own names for the parts that it looks at; None is all other parts.
     name: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]]
+    needs: ClassVar[tuple[str, ...] | None]
 
     def __call__(self, sets: Sets) -> Any:
         """Return the value; `sets` are the parameters by the rule's own names for the parts."""
@@ -46,6 +46,21 @@ class TopSpeed(Rule):
         motor, wheel = cast(MotorParameters, sets["motor"]), cast(WheelParameters, sets["wheel"])
         final_drive = cast(FinalDriveParameters, sets["final_drive"])
         return (motor.omega_max * motor.speed_scale / (self.v / wheel.r * (1 + self.slip)) / final_drive.i,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SumOfParts(Rule):
+    """The mass of the vehicle: what its parts weigh, each with its factors on size, and the rest of it."""
+
+    name = "sum-of-parts"
+    needs = None
+    rest: float = param("kg", "what no part accounts for: body, cargo, gearboxes, tanks", ge=0, le=1e6)
+    whole: float = param("kg", "the sum is rounded to a whole number of this; 0 does not round", 1.0, ge=0, le=1e3)
+
+    def __call__(self, sets: Sets) -> float:
+        """Return the mass [kg]."""
+        m = self.rest + sum(p.weight for p in sets.values())
+        return round(m / self.whole) * self.whole if self.whole else m
 
 
 @dataclass(frozen=True, kw_only=True)

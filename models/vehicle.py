@@ -19,7 +19,7 @@ import numpy as np
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.library.base.parameters import DESCRIBED, Parameters, Spec, described, numbers, spec_of, tables
+from halfshaft.library.base.parameters import DESCRIBED, Parameters, Rated, Spec, described, numbers, spec_of, tables
 from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
@@ -144,7 +144,7 @@ class Vehicle:
         plain = {name: x.item() if isinstance(x, np.generic) else x for name, x in values.items()}
         given = _numbers(reader, self.parts, plain, "", plain=True)
         reader.finish(f"vehicle '{self.name}'")
-        return replace(self, given={**self.given, **given}, source=_source_on(self))
+        return replace(self, given={**_without_rivals(self.parts, self.given, given), **given}, source=_source_on(self))
 
     def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library or paths of files."""
@@ -170,9 +170,10 @@ class Vehicle:
         for target, rule in self.rules.items():
             values = {f.name: getattr(rule, f.name) for f in fields(rule)}
             derive[target] = inline({"rule": rule.name, **written(type(rule), values)})
+        specs = self.specs | {name: rated.spec for name, rated in _rated(self.parts).items()}
         sections: dict[str, Mapping[str, Any]] = {
             "parts": {role: part.place(folder) for role, part in self.parts.items()},
-            "set": {name: quantity(value, self.specs[name]) for name, value in self.given.items()},
+            "set": {name: quantity(value, specs[name]) for name, value in self.given.items()},
             "derive": derive,
         }
         return toml_text({**head, "powertrain": self.powertrain}, sections)
@@ -217,9 +218,26 @@ def _specs(parts: Parts) -> dict[str, Spec]:
     return specs
 
 
+def _rated(parts: Parts) -> dict[str, Rated]:
+    """Return what can be typed in place of factors, by ``role.rating``."""
+    return {f"{role}.{rated.name}": rated for role, part in parts.items() for rated in part.component.parameters.rated}
+
+
+def _without_rivals(parts: Parts, given: Mapping[str, float], new: Mapping[str, float]) -> dict[str, float]:
+    """Return what was given but for ratings and factors that new ones stand for."""
+    rated = _rated(parts)
+
+    def factor(name: str) -> str:
+        return f"{name.partition('.')[0]}.{rated[name].scale}" if name in rated else name
+
+    replaced = {factor(name) for name in new}
+    return {name: x for name, x in given.items() if factor(name) not in replaced}
+
+
 def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str, *, plain: bool = False) -> dict[str, float]:
     """Return numbers by ``role.parameter`` in SI."""
-    specs = _specs(parts)
+    rated = _rated(parts)
+    specs = _specs(parts) | {name: r.spec for name, r in rated.items()}
     maps = {f"{role}.{f.name}" for role, part in parts.items() for f in fields(part.component.parameters) if spec_of(f).axes}
     for name in (n for n in values if n in maps):
         role = name.partition(".")[0]
@@ -227,6 +245,10 @@ def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str
         instead = f"stretch it by {factors}, or replace the {role}" if factors else f"replace the {role}"
         reader.problems.append(f"{where}{name} is a map, not a number: {instead}")
     reader.keys([n for n in values if n not in maps], specs, where)
+    for name, r in rated.items():
+        factor = f"{name.partition('.')[0]}.{r.scale}"
+        if name in values and factor in values:
+            reader.problems.append(f"{where}{name} and {where}{factor} both say how large it is; set one of them")
     return {name: reader.number(x, specs[name], where + name, plain=plain) for name, x in values.items() if name in specs}
 
 
@@ -363,7 +385,7 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
             source=data["source"] if "source" in data else _source_on(base),
             powertrain=powertrain.name,
             parts=parts,
-            given={**(_without(base.given, new) if base else {}), **given},
+            given={**(_without_rivals(parts, _without(base.given, new), given) if base else {}), **given},
             rules={**(_without(base.rules, new) if base else {}), **rules},
         )
     except InputError as e:
@@ -374,8 +396,13 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
     """Return the parameter sets by role, with the numbers that were set and what the rules derive."""
     problems: list[str] = []
     values = {role: dict(part.values) for role, part in vehicle.parts.items()}
+    typed: dict[str, dict[str, float]] = {role: {} for role in vehicle.parts}
+    ratings = _rated(vehicle.parts)
     for name, x in vehicle.given.items():
         role, _, parameter = name.partition(".")
+        if name in ratings:
+            typed[role][parameter] = x
+            continue
         stem, _, place = parameter.rpartition("_")
         if stem in values[role] and isinstance(values[role][stem], tuple):
             row = values[role][stem]
@@ -388,12 +415,14 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
         if d.parameter not in values[d.role]:
             rules.setdefault(d.target, d.rules[0]())
     rows_set = {name.rpartition("_")[0] for name in vehicle.given}
-    rules = {target: rule for target, rule in rules.items() if target not in rows_set}
+    rules = {target: rule for target, rule in rules.items() if target not in rows_set | vehicle.given.keys()}
+    # What looks at all parts comes last.
+    rules = dict(sorted(rules.items(), key=lambda item: item[1].needs is None))
     sets: dict[str, Parameters] = {}
 
     def build(role: str) -> None:
         try:
-            sets[role] = vehicle.parts[role].build(**values[role])
+            sets[role] = vehicle.parts[role].build(**values[role]).rescaled(typed[role])
         except InputError as e:
             problems.extend(f"{role}: {p}" for p in e.problems)
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -94,6 +95,24 @@ class Relation(NamedTuple):
     message: str
 
 
+class Rated(NamedTuple):
+    """What a part can be asked to be rated at, in place of a factor: the factor ``scale`` is then what gives that rating.
+
+    ``of`` returns the rating of a set, which grows in proportion to the factor.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    scale: str
+    of: Callable[[Any], float]
+
+    @property
+    def spec(self) -> Spec:
+        """Unit, meaning and bounds."""
+        return Spec(self.unit, f"{self.doc}; sets {self.scale}", gt=0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
     """Base of all parameter sets.
@@ -106,6 +125,7 @@ class Parameters:
     """
 
     relations: ClassVar[tuple[Relation, ...]] = ()
+    rated: ClassVar[tuple[Rated, ...]] = ()
 
     def __post_init__(self) -> None:
         """Check the bounds of all numbers."""
@@ -129,6 +149,17 @@ class Parameters:
     def check(self) -> list[str]:
         """Return which relations are broken; symbols break none."""
         return [r.message.format_map(vars(self)) for r in self.relations if isinstance(wrong := r.broken(self), bool | np.bool) and wrong]
+
+    @property
+    def weight(self) -> float:
+        """Mass of the part [kg]: that of its figures times its factors on size; 0 for what is weighed with the vehicle."""
+        size = math.prod(float(getattr(self, name, 1.0)) for name in ("torque_scale", "speed_scale", "power_scale"))
+        return float(getattr(self, "mass", 0.0)) * size
+
+    def rescaled(self, typed: Mapping[str, float]) -> Parameters:
+        """Return the set with the ratings that were typed."""
+        factors = {r.scale: getattr(self, r.scale) * typed[r.name] / r.of(self) for r in self.rated if r.name in typed}
+        return replace(self, **factors) if factors else self
 
     def ratings(self) -> Mapping[str, float]:
         """Return what the part is rated at: ``energy`` of a store [J], ``traction power`` of what drives [W]."""
@@ -175,10 +206,13 @@ def numbers(p: Parameters) -> Iterator[tuple[str, Spec, float]]:
 
 
 def tables(p: Parameters) -> Iterator[tuple[str, Table]]:
-    """Yield name and value of every table."""
+    """Yield name and value of every table, also of those that follow from others: the cached properties of a set."""
     for f in fields(p):
         if spec_of(f).axes:
             yield f.name, getattr(p, f.name)
+    for name, followed in vars(type(p)).items():
+        if isinstance(followed, cached_property):
+            yield name, getattr(p, name)
 
 
 def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> Parameters:
@@ -192,6 +226,7 @@ def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> P
             values[f.name] = tuple(symbols[f"{f.name}_{i}"] for i in range(1, len(getattr(p, f.name)) + 1))
         else:
             values[f.name] = symbols[f.name]
+    values |= {name: functions[name] for name, _ in tables(p) if name not in values}
     bound = object.__new__(type(p))
     for name, value in values.items():
         object.__setattr__(bound, name, value)

@@ -114,6 +114,11 @@ class Wheel(Component, Rolling):
     signals = (
         Signal("tau_grip_out", "N.m", "what the driven axle may drive more before its tyres slip"),
         Signal("tau_grip_in", "N.m", "what it may brake more"),
+        Signal("share_front", "1", "share of the load of the driven axles that the front one bears"),
+        Signal("tau_front_out", "N.m", "what the driveline may drive the front axle before its tyres slip"),
+        Signal("tau_front_in", "N.m", "what it may brake it"),
+        Signal("tau_rear_out", "N.m", "what it may drive the rear axle"),
+        Signal("tau_rear_in", "N.m", "what it may brake it"),
     )
     reads = (From("body", Body), From("body", v="m/s"))
 
@@ -169,7 +174,7 @@ class Wheel(Component, Rolling):
 
     @face(
         "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
-        "next_v_before", "_asked", "_grip", "_split", "_way",
+        "next_v_before", "_asked", "_grip", "_split", "_way", "share_front",
     )  # fmt: skip
     def required(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: Body, v_before: Expr, turning: Turning) -> Mapping[str, Any]:
         """Return the axle point that the request needs, equations (1) and (2)."""
@@ -192,6 +197,7 @@ class Wheel(Component, Rolling):
             "_grip": grip,
             "_split": split,
             "_way": way,
+            "share_front": self.p.front_driven * grip.W_front / grip.W_driven,
         }
 
     @face(
@@ -262,7 +268,10 @@ class Wheel(Component, Rolling):
         front = ca.fmax(ca.fmin(share * F, F + room_rear), -room_front)
         return front, ca.fmax(F - front, -room_rear)
 
-    @plant("axle", "P_brake", "P_slip", "P_bearing", "P_kinetic", "tau_grip_out", "tau_grip_in")
+    @plant(
+        "axle", "P_brake", "P_slip", "P_bearing", "P_kinetic", "tau_grip_out", "tau_grip_in",
+        "tau_front_out", "tau_front_in", "tau_rear_out", "tau_rear_in",
+    )  # fmt: skip
     def flow(self, tyre: Tyre, F_brake_front: Expr, F_brake_rear: Expr, grade: Expr, body: Body, turning: Turning) -> Mapping[str, Any]:
         """Return the axle point in continuous time, and how far the driven axle is from its grip.
 
@@ -290,4 +299,9 @@ class Wheel(Component, Rolling):
             "P_kinetic": books.kinetic,
             "tau_grip_out": p.r * (p.mu_max * W_driven - F_driven),
             "tau_grip_in": p.r * (p.mu_max * W_driven + F_driven),
+            # Of each axle beside its brake; of bearings and inertia each bears half.
+            "tau_front_out": p.r * (p.mu_max * loads[0] - front) + (axle.tau - point.tau) / 2,
+            "tau_front_in": p.r * (p.mu_max * loads[0] + front) - (axle.tau - point.tau) / 2,
+            "tau_rear_out": p.r * (p.mu_max * loads[1] - rear) + (axle.tau - point.tau) / 2,
+            "tau_rear_in": p.r * (p.mu_max * loads[1] + rear) - (axle.tau - point.tau) / 2,
         }

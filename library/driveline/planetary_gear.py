@@ -48,6 +48,7 @@ class PlanetaryGear(Junction):
         State("alpha_reached", "rad/s^2", "its acceleration in the previous step"),
     )
     signals = (
+        Signal("braked", "1", "whether the vehicle may brake with the engine"),
         Signal("tau_ring", "N.m", "required torque at the ring's shaft"),
         Signal("omega_ring", "rad/s", "required speed of the ring's shaft"),
         Signal("omega_ring_turning", "rad/s", "the same, after a missed trace what was reached"),
@@ -60,6 +61,11 @@ class PlanetaryGear(Junction):
         From("engine", omega_engine="rad/s", along=("carrier",)),
         From("generator", tau_able="N.m", along=("sun",)),
     )
+
+    @face("braked")
+    def law(self) -> Mapping[str, Any]:
+        """Say that the vehicle may brake with the engine."""
+        return {"braked": 1.0}
 
     @property
     def share(self) -> Expr:

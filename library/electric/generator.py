@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
 from halfshaft.library.base.links import kinetic_rate
-from halfshaft.library.base.parameters import Parameters, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -40,6 +40,16 @@ class GeneratorParameters(Parameters):
     speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100)
     torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
+
+    rated: ClassVar[tuple[Rated, ...]] = (
+        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: peak_power(p)),
+    )
+
+
+def peak_power(p: GeneratorParameters) -> float:
+    """Return the largest power of the envelope's points at the shaft, overtorque included [W]."""
+    omega, tau = p.tau_max.points[0], p.tau_max.values
+    return float((omega * tau)[omega <= p.omega_max].max() * p.overtorque * p.torque_scale * p.speed_scale)
 
 
 @dataclass(frozen=True)

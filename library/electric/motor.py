@@ -29,7 +29,7 @@ from halfshaft.library.base.component import From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import Link, TwoSided, continuous, inertia, limit
-from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -58,6 +58,11 @@ class MotorParameters(Parameters):
 
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
 
+    rated: ClassVar[tuple[Rated, ...]] = (
+        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.ratings()["traction power"]),
+        Rated("e_max", "1", "best efficiency while driving", "efficiency_scale", lambda p: best_efficiency(p)),
+    )
+
     def ratings(self) -> Mapping[str, float]:
         """Return the largest power at the shaft [W]."""
         return {"traction power": peak_power(self)}
@@ -85,6 +90,12 @@ def peak_power(p: MotorParameters) -> float:
     return float(best * p.overtorque * p.torque_scale * p.speed_scale)
 
 
+def best_efficiency(p: MotorParameters) -> float:
+    """Return the best efficiency of the map while driving."""
+    work, P = np.outer(*p.P_electric.points), p.P_electric.values
+    return float(p.efficiency_scale * np.max(np.divide(work, P, out=np.zeros_like(P), where=(work > 0) & (P > 0))))
+
+
 @dataclass(frozen=True)
 class Motor(TwoSided, Machine):
     """Motor and controller between the gearbox's shaft and the supply."""
@@ -109,6 +120,7 @@ class Motor(TwoSided, Machine):
         From("shift", optional=True, shifting="1"),
         From("battery", U="V", P_room_out="W", P_room_in="W"),
         From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
+        From("node", optional=True, along=("dc",), forgiven="1"),
     )
     estimates = True
 
@@ -212,17 +224,18 @@ class Motor(TwoSided, Machine):
     @plant("balance")
     def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
-        tau_grip_out: Expr, tau_grip_in: Expr,
+        tau_grip_out: Expr, tau_grip_in: Expr, forgiven: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 
         The torque fades over the last half per cent below the top speed.
         """
-        return {"balance": self.short(_tau, ca.fabs(_omega), _P, throttle_motor, P_room_out, P_room_in, U, tau_grip_out, tau_grip_in)}
+        room = P_room_out, P_room_in, U, tau_grip_out, tau_grip_in, forgiven
+        return {"balance": self.short(_tau, ca.fabs(_omega), _P, throttle_motor, *room)}
 
     def short(
         self, tau: Expr, omega: Expr, P: Expr, throttle: Expr, P_out: Expr, P_in: Expr, U: Expr,
-        tau_out: Expr = ca.inf, tau_in: Expr = ca.inf,
+        tau_out: Expr = ca.inf, tau_in: Expr = ca.inf, forgiven: Expr = 0.0,
     ) -> Expr:  # fmt: skip
         """Return how much torque the machine gives beyond `tau`, at a throttle and with room for power and torque out and in."""
         lowest, highest = self.limits(omega)
@@ -232,6 +245,8 @@ class Motor(TwoSided, Machine):
         scale = ca.fmax(omega, 10)
         P_max = self.p.I_max * U
         # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
-        more = ca.fmax(ca.fmin(ca.fmin(P_out, P_max - P) / scale, tau_out), -tau)
-        less = ca.fmin(-ca.fmin(ca.fmin(P_in, P_max + P) / scale, tau_in), -tau)
+        # Where several machines meet the limit of one store, all balances would be the same; each forgives it a share of what it lacks.
+        out, into = P_out + forgiven * scale * (given - tau), P_in + forgiven * scale * (tau - given)
+        more = ca.fmax(ca.fmin(ca.fmin(out, P_max - P) / scale, tau_out), -tau)
+        less = ca.fmin(-ca.fmin(ca.fmin(into, P_max + P) / scale, tau_in), -tau)
         return ca.fmax(ca.fmin(given - tau, more), less)

@@ -1,12 +1,11 @@
-"""Electric node: two machines on one supply.
+"""Electric node: two loads on one supply; with a node as a load of a node, any number.
 
 ::
 
-    P = P_first + P_second                                                   (1)
+    P_supply = P_load + P_other                                              (1)
 
-The supply may bring less than the two ask for together, or take less than they send.  What is missing is taken from the first
-as long as it consumes, the rest from the second; what nothing takes is taken from the first as long as it generates, the rest
-from the second.  Nothing is lost here.
+Where the supply gives less than that, loads that drive bear it in proportion to what they ask for; where it takes less, those
+that brake do.
 """
 
 from __future__ import annotations
@@ -17,56 +16,59 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, Signal, face, plant
+from halfshaft.library.base.component import Component, Signal, face, plant
 from halfshaft.library.base.expressions import where
 from halfshaft.library.base.parameters import Parameters
 from halfshaft.library.base.ports import Electric, Expr, Port
 
+#: Share of a missing torque that a machine's balance forgives the store's limit: small beside any loss.
+FORGIVEN = 1e-3
+
 
 @dataclass(frozen=True, kw_only=True)
-class NodeParameters(Parameters):
+class ElectricNodeParameters(Parameters):
     """A node has no parameters."""
 
 
 @dataclass(frozen=True)
-class Node(Component):
-    """Node between two machines and what supplies both."""
+class ElectricNode(Component):
+    """Joins two loads on one supply."""
 
     kind = "electric-node"
-    p: NodeParameters
-    parameters = NodeParameters
-    first = Port(Electric, "wheel")
-    second = Port(Electric, "wheel")
+    p: ElectricNodeParameters
+    parameters = ElectricNodeParameters
+    load = Port(Electric, "wheel")
+    other = Port(Electric, "wheel")
     supply = Port(Electric, "source")
-    signals = (
-        Signal("P_spare_out", "W", "what the second machine may draw more, if the first one gives way"),
-        Signal("P_spare_in", "W", "what it may send more, if the first one gives way"),
-    )
-    reads = (From("battery", P_room_out="W", P_room_in="W"),)
+    signals = (Signal("forgiven", "1", "share of a missing torque that a machine's balance forgives the store's limit"),)
 
-    @face("supply")
-    def required(self, first: Electric, second: Electric) -> Mapping[str, Any]:
+    @face("forgiven")
+    def law(self) -> Mapping[str, Any]:
+        """Publish the share."""
+        return {"forgiven": FORGIVEN}
+
+    @face("supply", "_asked")
+    def required(self, load: Electric, other: Electric) -> Mapping[str, Any]:
         """Return equation (1)."""
-        return {"supply": Electric(first.P + second.P)}
+        return {"supply": Electric(load.P + other.P), "_asked": (load.P, other.P)}
 
-    @face("first", "second")
-    def available(self, first: Electric, second: Electric, supply: Electric) -> Mapping[str, Any]:
-        """Return what each of the two gets."""
-        missing = first.P + second.P - supply.P
-        taken = where(missing >= 0, ca.fmin(missing, ca.fmax(first.P, 0)), ca.fmax(missing, ca.fmin(first.P, 0)))
-        given = first.P - taken
-        return {"first": Electric(given), "second": Electric(where(missing == 0, second.P, supply.P - given))}
+    @face("load", "other")
+    def available(self, supply: Electric, _asked: tuple[Expr, Expr]) -> Mapping[str, Any]:
+        """Return what each load gets."""
+        one, two = _asked
+        change = supply.P - (one + two)
+        # Who bears the change: what drives, or what brakes.
+        bears = [where(change < 0, ca.fmax(P, 0), ca.fmin(P, 0)) for P in _asked]
+        both = bears[0] + bears[1]
+        share = where(both != 0, bears[0] / where(both != 0, both, 1), 0.5)
+        given = where(change == 0, one, one + share * change)
+        return {"load": Electric(given), "other": Electric(where(change == 0, two, supply.P - given))}
 
-    def audit(self, first: Electric, second: Electric, supply: Electric) -> Mapping[str, Any]:
+    def audit(self, load: Electric, other: Electric, supply: Electric) -> Mapping[str, Any]:
         """Compare what came with what went."""
-        return {"sum": supply.P - first.P - second.P}
+        return {"sum": supply.P - load.P - other.P}
 
     @plant("supply")
-    def flow(self, first: Electric, second: Electric) -> Mapping[str, Any]:
+    def flow(self, load: Electric, other: Electric) -> Mapping[str, Any]:
         """Return equation (1) in continuous time."""
-        return {"supply": Electric(first.P + second.P)}
-
-    @plant("P_spare_out", "P_spare_in")
-    def spare(self, first: Electric, P_room_out: Expr, P_room_in: Expr) -> Mapping[str, Any]:
-        """Return what the second machine may still do once the first has given way."""
-        return {"P_spare_out": P_room_out + ca.fmax(first.P, 0), "P_spare_in": P_room_in + ca.fmax(-first.P, 0)}
+        return {"supply": Electric(load.P + other.P)}

@@ -27,15 +27,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
+import numpy as np
 
 from halfshaft.library.base.component import Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import kinetic_rate
-from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
 from halfshaft.library.base.ports import Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -64,7 +65,22 @@ class EngineParameters(Parameters):
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
+    rated: ClassVar[tuple[Rated, ...]] = (
+        Rated("P_max", "W", "largest power of the envelope's points", "torque_scale", lambda p: peak_power(p)),
+        Rated("e_max", "1", "best efficiency", "efficiency_scale", lambda p: best_efficiency(p)),
+    )
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.fuel, lambda work, fuel: [(work, fuel)], p.H_fuel), LIFTED),)
+
+
+def peak_power(p: EngineParameters) -> float:
+    """Return the largest power of the envelope's points [W]."""
+    return float((p.tau_max.points[0] * p.tau_max.values).max() * p.torque_scale * p.speed_scale)
+
+
+def best_efficiency(p: EngineParameters) -> float:
+    """Return the best efficiency of the fuel map."""
+    work, P_fuel = np.outer(*p.fuel.points), p.H_fuel * p.fuel.values
+    return float(p.efficiency_scale * np.max(np.divide(work, P_fuel, out=np.zeros_like(work), where=P_fuel > 0)))
 
 
 @dataclass(frozen=True)
@@ -107,6 +123,7 @@ class Engine(Component, Machine):
         From("accessories", optional=True, tau_accessory_before="N.m"),
         From("shift", optional=True, ratio="1"),
         From("generator", optional=True, J_shaft="kg.m^2"),
+        From("gear", optional=True, along=("shaft",), braked="1"),
     )
 
     def start(self, omega_idle: Expr) -> Mapping[str, Any]:  # type: ignore[override]
@@ -190,19 +207,22 @@ class Engine(Component, Machine):
         "shaft", "throttle_engine", "tau_map", "speed_limited", "P_kinetic", "P_discretisation", "P_mismatch", "next_omega_own"
     )  # fmt: skip
     def torque(
-        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
-        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
+        self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
+        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0, braked: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equations (1) to (3)."""
-        omega, closed, highest = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
+        omega, closed, open_throttle = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
+        # An engine that is off drives nothing.
+        highest = where(engine_on, open_throttle, 0)
         J_dt, change = self.p.J * (1 / dt), omega - omega_own
-        # A genset that only spins turns its generator's rotor too.
-        asked = shaft.tau + where(clutch_open, J_shaft * (1 / dt) * change, 0)
+        # A genset turns its generator's rotor too: with that alone while it only spins, with no less than that while it gives.
+        rotor = J_shaft * (1 / dt) * change
+        asked = where(ca.logic_or(geared, braked), shaft.tau, where(clutch_open, shaft.tau + rotor, ca.fmax(shaft.tau, rotor)))
         # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
         gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
         J_alpha = J_dt * where(geared, gain, change)
         needed = asked + J_alpha
-        share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, J_shaft * (1 / dt) * change))
+        share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, rotor))
         tau = where(clutch_open, asked, where(needed > highest, share, ca.fmax(asked, closed - J_alpha)))
         spinning_down = ca.logic_and(clutch_open, omega > omega_command + 1e-9)
         tau_map = clip(where(spinning_down, closed, asked + J_dt * change), closed, highest)
@@ -214,7 +234,7 @@ class Engine(Component, Machine):
         kinetic = kinetic_rate(self.p.J, omega_own, own, dt)
         return {
             "shaft": Shaft(tau, omega_shaft, where(geared, shaft.alpha, change / dt)),
-            "throttle_engine": (tau_map - closed) / (highest - closed),
+            "throttle_engine": (tau_map - closed) / (open_throttle - closed),
             "tau_map": tau_map,
             "speed_limited": ca.logic_and(turned, shaft.omega > self.omega_max * (1 - 1e-9)),
             "P_kinetic": kinetic,

@@ -1,7 +1,7 @@
 """Conventional car: engine, clutch and gearbox."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import Powertrain
+from halfshaft.models.powertrain import MASS, Powertrain
 
 ROLES = {
     "body": ("body",),
@@ -21,4 +21,4 @@ def connect(m: Model) -> None:
     m.chain("body", "wheel", "final_drive", "gearbox", "clutch", "accessories", "engine")
 
 
-conventional = Powertrain("conventional", "conventional car", ROLES, connect)
+conventional = Powertrain("conventional", "conventional car", ROLES, connect, (MASS,))

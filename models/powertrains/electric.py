@@ -1,7 +1,7 @@
 """Battery electric car: one motor on one axle."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import Derived, Powertrain
+from halfshaft.models.powertrain import MASS, Derived, Powertrain
 from halfshaft.models.rules import TopSpeed
 
 ROLES = {
@@ -22,4 +22,4 @@ def connect(m: Model) -> None:
     m.chain("body", "wheel", "final_drive", "gearbox", "motor", "accessories", "bus.battery", "battery")
 
 
-electric = Powertrain("electric", "battery electric car", ROLES, connect, (Derived("gearbox.ratios", (TopSpeed,)),))
+electric = Powertrain("electric", "battery electric car", ROLES, connect, (MASS, Derived("gearbox.ratios", (TopSpeed,))))

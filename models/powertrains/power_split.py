@@ -11,7 +11,7 @@ ROLES = {
     "engine": ("engine",),
     "motor": ("motor",),
     "generator": ("motor-generator",),
-    "node": ("electric-node",),
+    "node": ("priority-node",),
     "accessories": ("electric-accessories",),
     "battery": ("battery",),
     "control": ("power-split-control",),
@@ -21,8 +21,8 @@ ROLES = {
 def connect(m: Model) -> None:
     """Connect the parts from the wheel to the sources."""
     m.chain("body", "wheel", "final_drive", "gear.carrier", "engine")
-    m.chain("gear.motor", "motor", "node.first", "accessories", "battery")
-    m.chain("gear.sun", "generator", "node.second")
+    m.chain("gear.motor", "motor", "node.load", "accessories", "battery")
+    m.chain("gear.sun", "generator", "node.other")
 
 
 power_split = Powertrain("power_split", "power split hybrid", ROLES, connect)

@@ -124,9 +124,9 @@ def drive(parameters, samples):
 
         # The engine: within its torque, the rest speeds its rotor up.
         w_E = max(min(w_c, own + dt * T_max(own) / J_e, engine_top), 0.0)
-        T_rotor = eng.J * (w_E - own) / dt
-        T_E = max(T_max(w_E) - T_rotor, 0.0) if T_c + T_rotor > T_max(w_E) else max(T_c, T_closed(w_E) - T_rotor)
-        T_burn = clip(T_c + T_rotor, T_closed(w_E), T_max(w_E))
+        T_rotor, T_open = eng.J * (w_E - own) / dt, T_max(w_E) if on else 0.0
+        T_E = max(T_open - T_rotor, 0.0) if T_c + T_rotor > T_open else max(T_c, T_closed(w_E) - T_rotor)
+        T_burn = clip(T_c + T_rotor, T_closed(w_E), T_open)
         a_E = (w_E - own) / dt
         own = clip(own + dt * (T_burn - T_E) / J_e, min(w_E, own), max(w_E, own))
         flow = S * Q / eng.efficiency_scale * look(eng.fuel, w_E / S, T_burn / Q) if on else 0.0
