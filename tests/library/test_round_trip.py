@@ -261,15 +261,16 @@ def planetary_case(part, seed):
 
 
 def node_case(part, seed):
+    """Return the case of a node of two loads."""
     x = ca.SX.sym("P", 2)
-    both = [Electric(P) for P in ca.vertsplit(x)]
-    sent = part.required(*both)["supply"]
-    back = part.available(*both, offer(sent))
-    asked, delivered = [p.P for p in both], [back[port].P for port in ("first", "second")]
-    P = random(seed).uniform(-5e4, 8e4, (N, 2))
-    plant = part.flow(*both)["supply"]
+    both = dict(zip(("load", "other"), map(Electric, ca.vertsplit(x)), strict=True))
+    way = part.required(**both)
+    back = part.available(offer(way["supply"]), way["_asked"])
+    plant, delivered = part.flow(**both)["supply"], [back[port].P for port in both]
+    points = random(seed).uniform(-5e4, 8e4, (N, 2))
     return Case(
-        x, asked, sent, delivered, plant, plant, ca.SX(0), offer(sent).P, sum(delivered), ca.SX(0), P, np.array([[0.0, 0.0], [-1.0, 1.0]])
+        x, [P.P for P in both.values()], way["supply"], delivered, plant, plant, ca.SX(0), offer(way["supply"]).P, sum(delivered), ca.SX(0),
+        points, np.array([[0.0, 0.0], [-1.0, 1.0]]),
     )  # fmt: skip
 
 
@@ -378,7 +379,8 @@ CASES |= {
     "final-drive-with-losses": lambda: final_drive_case(component("unity", i=3.7, tau_loss=2.0, J=0.01), 23),
     "accessories-with-both-loads": lambda: mechanical_case(component("mechanical-700w", tau_on=3.0, eta=0.8), 1.0),
     "planetary-gear": lambda: planetary_case(component("planetary-78-30"), 7),
-    "electric-node": lambda: node_case(component("node"), 8),
+    "electric-node": lambda: node_case(component("electric-node"), 9),
+    "priority-node": lambda: node_case(component("priority-node"), 8),
     "bus": lambda: bus_case(component("bus"), 0.0),
     "bus-with-generator": lambda: bus_case(component("bus"), 12e3),
     "body-without-drag": lambda: body_case("small-car", 24, c_d=0.0),
