@@ -135,7 +135,8 @@ class Auditor:
     def _point(c: Connection, model: Model, row: ca.SX, outputs: Mapping[str, int]) -> Any:
         fields, (_, out) = SHOWN[c.supply_port.kind], model.suffixes(c)
         return c.supply_port.kind(*(
-            row[outputs[f"{c.supply}.{'P_out' if f == 'P' else f}{out}"]] if f in fields else ca.SX.nan() for f in c.supply_port.kind._fields
+            row[outputs[f"{c.supply}.{'P_out' if f == 'P' else f}{out}"]] if f in fields else ca.SX.nan()
+            for f in c.supply_port.kind._fields
         ))  # fmt: skip
 
     @staticmethod

@@ -59,7 +59,7 @@ class MotorParameters(Parameters):
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
 
     rated: ClassVar[tuple[Rated, ...]] = (
-        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.ratings()["traction power"]),
+        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: peak_power(p)),
         Rated("e_max", "1", "best efficiency while driving", "efficiency_scale", lambda p: best_efficiency(p)),
     )
 

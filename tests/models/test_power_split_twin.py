@@ -20,7 +20,8 @@ CARS = {
     "another gear": {"gear.r": 60.0, "gear.s": 36.0, "final_drive.i": 4.3, "final_drive.tau_loss": 2.0, "final_drive.J": 0.02},
     "another control": {
         "control.P_on": 9000.0, "control.v_on": 20.0, "control.soc_on": 0.57, "control.t_off_min": 8.0, "control.soc_target": 0.65,
-        "control.I_charge": 200.0, "control.eta_charge": 0.7, "control.P_full": 18e3, "control.omega_lowest": 140.0, "control.t_inertia": 1.5,
+        "control.I_charge": 200.0, "control.eta_charge": 0.7, "control.P_full": 18e3, "control.omega_lowest": 140.0,
+        "control.t_inertia": 1.5,
     },
     "motor that needs voltage": {"motor.U_min": 262.0},
     "generator that needs voltage": {"generator.U_min": 258.0},

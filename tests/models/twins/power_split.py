@@ -108,10 +108,7 @@ class Control:
 def shared(P_motor, P_generator, P):
     """Return what motor and generator get of a power that is not what they asked for together."""
     missing = P_motor + P_generator - P
-    if missing > 0:
-        from_motor = min(missing, max(P_motor, 0.0))
-    else:
-        from_motor = -min(-missing, max(-P_motor, 0.0))
+    from_motor = min(missing, max(P_motor, 0.0)) if missing > 0 else max(missing, min(P_motor, 0.0))
     return P_motor - from_motor, P_generator - (missing - from_motor)
 
 
