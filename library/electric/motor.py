@@ -59,13 +59,17 @@ class MotorParameters(Parameters):
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
 
     rated: ClassVar[tuple[Rated, ...]] = (
-        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: peak_power(p)),
+        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.P_peak()),
         Rated("e_max", "1", "best efficiency while driving", "efficiency_scale", lambda p: best_efficiency(p)),
     )
 
+    def P_peak(self) -> float:
+        """Return the largest power at the shaft, overtorque included [W]."""
+        return peak_power(self)
+
     def ratings(self) -> Mapping[str, float]:
         """Return the largest power at the shaft [W]."""
-        return {"traction power": peak_power(self)}
+        return {"traction power": self.P_peak()}
 
 
 # A sweep asks for the same part again and again.

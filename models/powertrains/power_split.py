@@ -1,7 +1,7 @@
 """Power split: engine and generator on a planetary gear, whose ring a motor drives together with the wheels."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import Powertrain
+from halfshaft.models.powertrain import MASS, Powertrain
 
 ROLES = {
     "body": ("body",),
@@ -25,4 +25,4 @@ def connect(m: Model) -> None:
     m.chain("gear.sun", "generator", "node.other")
 
 
-power_split = Powertrain("power_split", "power split hybrid", ROLES, connect)
+power_split = Powertrain("power_split", "power split hybrid", ROLES, connect, (MASS,))
