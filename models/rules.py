@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias, cast
 
@@ -30,6 +30,11 @@ class Rule(Parameters):
     def __call__(self, sets: Sets) -> Any:
         """Return the value; `sets` are the parameters by the rule's own names for the parts."""
         raise NotImplementedError
+
+    @classmethod
+    def lacks(cls) -> bool:
+        """Return whether it has numbers that only a vehicle can give."""
+        return any(f.default is MISSING for f in fields(cls))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +78,31 @@ class GensetLocus(Rule):
     def __call__(self, sets: Sets) -> Table:
         """Return the speed over engine power."""
         return _locus(cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CouplerTopSpeed(TopSpeed):
+    """The ratio of a torque coupler behind the gearbox at which the motor reaches its top speed when the vehicle drives at `v`."""
+
+    name = "coupler-top-speed"
+
+    def __call__(self, sets: Sets) -> Any:
+        """Return the ratio of the motor's speed to that of the shaft."""
+        return super().__call__(sets)[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TogetherAtTop(Rule):
+    """The ratio of a torque coupler at which the motor turns at a share of its top speed when the engine is at its own."""
+
+    name = "together-at-top"
+    needs = ("motor", "engine")
+    share: float = param("1", "share of the motor's top speed", 0.99, ge=0.01, le=1)
+
+    def __call__(self, sets: Sets) -> float:
+        """Return the ratio of the motor's speed to the engine's."""
+        motor, engine = cast(MotorParameters, sets["motor"]), cast(EngineParameters, sets["engine"])
+        return self.share * motor.omega_max * motor.speed_scale / (engine.tau_max.inside(0)[1] * engine.speed_scale)
 
 
 # The locus takes longer than all else here, and most changes leave engine and generator alone.

@@ -68,11 +68,6 @@ class Junction(Component):
         asked = cls.asked_ports()
         return asked[:-1] if cls.free is None else [port for port in asked if port.name in cls.free]
 
-    def last_ports(self) -> list[str]:
-        """Return the names of the asked ports whose offer no later one is asked by: nothing else makes up for what they miss."""
-        looked_at = {n for port in self.asked_ports() for n in arguments(getattr(self, f"ask_{port.name}"))[0]}
-        return [port.name for port in self.asked_ports() if port.name not in looked_at]
-
     @classmethod
     def turns(cls) -> bool:
         """Return whether the component has a rotor."""
@@ -120,13 +115,16 @@ class Junction(Component):
         yield Face("required", (load, *takes), optional, ("_way", "_split"), required)
         yield from (asking(port.name) for port in self.asked_ports())
         names, absent = self._takes(self.join)
-        sent = {port: f"_sent_{port}" for port in self.last_ports()}
+        sent = {port.name: f"_sent_{port.name}" for port in self.asked_ports()}
+        made_up = {name for port in sent for name in arguments(getattr(self, f"ask_{port}"))[0]} & sent.keys()
         booked = tuple(v.name for v in self.all_variables() if v not in self.variables)
 
         def available(_way: Any, _split: Any, dt: Any, **x: Any) -> Mapping[str, Any]:
-            reached = [x[port][0] == x.pop(private)[0] for port, private in sent.items()]
+            given = {port: x[port][0] == x.pop(private)[0] for port, private in sent.items()}
+            reached = [given[port] for port in given if port not in made_up]
             joined = _called(self.join, {load: _split} | x)
-            # Where these sources give what they were asked for, so does the joint, to the last bit.
+            # Where all sources give what they were asked for, so does the joint, to the last bit; what one of them did not give,
+            # those that saw its offer were asked for.
             whole = reached[0] if len(reached) == 1 else ca.logic_and(*reached) if len(reached) == 2 else ca.logic_all(ca.vertcat(*reached))
             joint = joined._replace(**{joined._fields[0]: where(whole, _split[0], joined[0])})
             delivered, books = homeward(_way, joint, dt)

@@ -123,7 +123,7 @@ class Motor(TwoSided, Machine):
         From("battery", U_supply="V"),
         From("shift", optional=True, shifting="1"),
         From("battery", U="V", P_room_out="W", P_room_in="W"),
-        From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
+        From("wheel", optional=True, tau_grip_out="N.m", tau_grip_in="N.m"),
         From("node", optional=True, along=("dc",), forgiven="1"),
     )
     estimates = True
@@ -228,7 +228,7 @@ class Motor(TwoSided, Machine):
     @plant("balance")
     def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
-        tau_grip_out: Expr, tau_grip_in: Expr, forgiven: Expr = 0.0,
+        tau_grip_out: Expr = ca.inf, tau_grip_in: Expr = ca.inf, forgiven: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 
