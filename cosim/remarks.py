@@ -15,7 +15,7 @@ import numpy.typing as npt
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.units import Units, shown
 from halfshaft.library.base.tags import part_of
-from halfshaft.library.electric.battery import SOC_FULL
+from halfshaft.library.electric.store import SOC_FULL
 
 if TYPE_CHECKING:
     from halfshaft.cosim.result import Result
@@ -55,10 +55,12 @@ def _store(result: Result, part: str, acts: Mask) -> Iterator[Found]:
     soc = np.concatenate([[result.first.get(name, np.nan)], result[name][:-1]])
     missing = _power_missing(result, part)
     discharging = missing > 0 if missing is not None else result[f"{part}.P_out"] > 0
-    yield Found("empty", acts & discharging & (soc <= SOC_EMPTY), missing, "not given")
-    yield Found("lowest voltage", acts & discharging & (soc > SOC_EMPTY), missing, "not given")
-    yield Found("full", acts & ~discharging & (soc >= SOC_FULL), missing, "not taken")
-    yield Found("highest voltage", acts & ~discharging & (soc < SOC_FULL), missing, "not taken")
+    set_to = result.inputs.parameters
+    empty, full = set_to.get(f"{part}.soc_empty", SOC_EMPTY), set_to.get(f"{part}.soc_full", SOC_FULL)
+    yield Found("empty", acts & discharging & (soc <= empty), missing, "not given")
+    yield Found("lowest voltage", acts & discharging & (soc > empty), missing, "not given")
+    yield Found("full", acts & ~discharging & (soc >= full), missing, "not taken")
+    yield Found("highest voltage", acts & ~discharging & (soc < full), missing, "not taken")
 
 
 def _grip(result: Result, part: str, acts: Mask) -> Iterator[Found]:

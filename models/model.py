@@ -29,7 +29,7 @@ class Model:
         self.parts = dict(parts)
         self.connections: list[Connection] = []
         #: Which part stands for what a part reads from, by the reader and its name for it.
-        self.bindings: dict[str, dict[str, str]] = {}
+        self.bindings: dict[str, dict[str, str | None]] = {}
         self._problems: list[str] = []
         self._tried: set[tuple[str, str]] = set()
         roles: dict[int, str] = {}
@@ -66,9 +66,9 @@ class Model:
                     return
         self.connections.append(Connection(self._place(load), load.port, self._place(supply), supply.port))
 
-    def bind(self, reader: str, **owners: str) -> None:
-        """Say which parts a part reads from, by its own names for them (`From`), where several could be meant."""
-        lost = [name for name in (reader, *owners.values()) if name not in self.parts]
+    def bind(self, reader: str, **owners: str | None) -> None:
+        """Say which parts a part reads from, by its own names for them (`From`), where several could be meant, or none should."""
+        lost = [name for name in (reader, *owners.values()) if name is not None and name not in self.parts]
         self._problems += [f"{name} is no part of this model{nearest(name, self.parts)}" for name in lost]
         self.bindings.setdefault(reader, {}).update(owners)
 
@@ -98,6 +98,11 @@ class Model:
         said = f"has the {toward}s {' and '.join(port.name for port in ports)}; say which" if ports else f"has no {toward}"
         self._problems.append(f"{name} {said}")
         return None
+
+    def suffixes(self, c: Connection) -> tuple[str, str]:
+        """Return what follows the names of outputs at the load's and at the supply's end, where a part has several ports that way."""
+        load = f"_{c.load_port.name}" if sum(other.load == c.load for other in self.connections) > 1 else ""
+        return load, f"_{c.supply_port.name}" if sum(other.supply == c.supply for other in self.connections) > 1 else ""
 
     def check(self) -> list[str]:
         """Return what is wrong with the connections."""

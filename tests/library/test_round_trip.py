@@ -4,6 +4,7 @@ A case is one component with numbers and the signals of one situation.  `x` is w
 there are any), `share` the part of the source's offer that comes back; all else are expressions of these.
 """
 
+import inspect
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -14,7 +15,10 @@ import pytest
 from halfshaft.library.base.links import TwoSided, continuous
 from halfshaft.library.base.ports import Electric, Shaft, Tyre
 from halfshaft.library.driveline.clutch import Clutch
+from halfshaft.library.electric.battery import Battery
 from halfshaft.library.electric.motor import OMEGA_OFF
+from halfshaft.library.electric.store import SOC_EMPTY
+from halfshaft.library.electric.ultracapacitor import Ultracapacitor
 from halfshaft.library.files.catalog import component_kinds
 from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.models.assembly import StepDirection, step_turning
@@ -113,6 +117,20 @@ def motor_case(part, seed):
     standing, over, idle = loads([0, 100, -100], 0.0, [0, 10, -10]), loads([1e3, -1e3, 0], 1.2 * top, 5.0), loads(0.0, omega[:5], 0.0)
     edges = np.vstack([standing, loads(limits[:5].ravel(), np.repeat(omega[:5], 2), 0.0), over, idle])
     return chain_case(part, signals, loads(tau - p.J * alpha, omega, alpha), edges)
+
+
+def motor_generator_case(part, seed):
+    rng = random(seed)
+    top = part.omega_max
+    omega = np.append(rng.uniform(0.01, 1, N - 2) * top, [top, 2 * OMEGA_OFF]) * rng.choice([-1, 1], N)
+    alpha = rng.uniform(-60, 60, N)
+    limits = np.array([[float(t) for t in part.limits(abs(w))] for w in omega])
+    part_of_limit = np.append(rng.uniform(0, 1, N - 2), [1, 1])
+    # All four quadrants; backward the limits are those of the mirror image.
+    tau = np.sign(omega) * np.where(rng.random(N) < 0.5, limits[:, 0], limits[:, 1]) * part_of_limit
+    edges = np.vstack([loads([0, 10, -10], 0.0, [0, 10, -10]), loads([1e3, -1e3, 0], [1.2 * top, -1.2 * top, -top], 5.0)])
+    signals = {"turning": step_turning, "U_supply": 1e6}
+    return chain_case(part, signals, loads(tau - part.p.J * alpha, omega, alpha), edges)
 
 
 def gearbox_case(part, gear, seed):
@@ -230,6 +248,32 @@ def bus_case(part, generator):
     )
 
 
+def planetary_case(part, seed):
+    """Return the case of a planetary gear whose engine gives what it is asked for; the load and the engine's point are free."""
+    x = ca.SX.sym("x", 6)  # torque, speed and acceleration of the ring, then of the carrier
+    ring, carrier = Shaft(*ca.vertsplit(x[:3])), Shaft(*ca.vertsplit(x[3:]))
+    rng = random(seed)
+    free = [rng.uniform(-300, 300, N), rng.uniform(0, 600, N), rng.uniform(-60, 60, N)]
+    free += [rng.uniform(-40, 100, N), rng.uniform(0, 420, N), rng.uniform(-200, 200, N)]
+    able = part.sun_of(ring, carrier).tau
+    signals = {"trace_missed": 0.0, "omega_reached": 0.0, "alpha_reached": 0.0, "tau_able": able}
+    return junction_case(part, x, ring, {"carrier": carrier}, signals, np.column_stack(free), np.zeros((1, 6)))
+
+
+def node_case(part, seed):
+    """Return the case of a node of two loads."""
+    x = ca.SX.sym("P", 2)
+    both = dict(zip(("load", "other"), map(Electric, ca.vertsplit(x)), strict=True))
+    way = part.required(**both)
+    back = part.available(offer(way["supply"]), way["_asked"])
+    plant, delivered = part.flow(**both)["supply"], [back[port].P for port in both]
+    points = random(seed).uniform(-5e4, 8e4, (N, 2))
+    return Case(
+        x, [P.P for P in both.values()], way["supply"], delivered, plant, plant, ca.SX(0), offer(way["supply"]).P, sum(delivered), ca.SX(0),
+        points, np.array([[0.0, 0.0], [-1.0, 1.0]]),
+    )  # fmt: skip
+
+
 def junction_case(part, x, load, offering, signals, inside, edges):
     """Return the case of a junction: all its sources give the same share of what they are asked for."""
     name, faces = part.load_port().name, {f.name: f for f in part.faces()}
@@ -240,14 +284,14 @@ def junction_case(part, x, load, offering, signals, inside, edges):
     known = {name: load, "dt": DT, **offering, **signals}
     known |= run(faces["required"], **known)
     sent = {}
-    for port in (port.name for port in part.asked_ports()):
+    for port in (port.name for port in part.asked_ports() if port.name not in offering):
         known |= run(faces[f"ask_{port}"], **known)
         sent[port] = known[port]
         known[port] = offer(sent[port])
     back = run(faces["available"], **known)
 
     def plant(**laws):
-        divided = {f"{port.kind._fields[0]}_{port.name}": sent[port.name][0] for port in part.asked_ports()[:-1]}
+        divided = {f"{port.kind._fields[0]}_{port.name}": known[port.name][0] for port in part.free_ports() if port.name in sent}
         (flow,) = (f for f in part.plant_faces() if f.name == "flow")
         points = run(flow, **{name: load, **offering, **signals, **divided, **laws})
         return [value for port in sent for value in points[port]]
@@ -260,18 +304,35 @@ def junction_case(part, x, load, offering, signals, inside, edges):
     )  # fmt: skip
 
 
-def battery_case(name, seed, **values):
+def filled(part, soc, T):
+    """Return the states of a store that hold a charge, at rest."""
+    if isinstance(part, Battery):
+        return {"charge_drawn": (1 - soc) * part.capacity(T)}
+    if isinstance(part, Ultracapacitor):
+        return {"v": ca.fmax(soc, SOC_EMPTY) * part.p.u_max}
+    return dict.fromkeys(("v_bulk", "v_surface"), part.p.u_oc(T, soc))
+
+
+def store_case(name, seed, **values):
     part, U_min = component(name, **values), (component("pm-32kw").p.U_min,)
     x = ca.SX.sym("x", 3)  # power, state of charge, temperature
     P, soc, T = ca.vertsplit(x)
-    drawn = (1 - soc) * part.capacity(T)
-    given = part.available(Electric(P), part.limits_at(soc, T, U_min), soc, drawn, T, DT)
-    flow = part.flow(Electric(P), drawn, T, U_min)
-    ends = ca.vertcat(given["I"], given["U"], (given["next_charge_drawn"] - drawn) / DT, (given["next_T"] - T) / DT)
-    rates = ca.vertcat(flow["I"], flow["U"], flow["der_charge_drawn"], flow["der_T"])
+    states = {**filled(part, soc, T), "T": T}
+
+    def called(method, **known):
+        known |= {"dc": Electric(P), "U_min": U_min, "dt": DT, **states}
+        return method(**{n: known[n] for n in inspect.signature(method).parameters})
+
+    source = part.source(**states)
+    limits = part.limits_at(source, U_min)
+    given = called(part.available, _limits=limits, _source=source)
+    given |= called(part.store, _source=source, U=given["U"], I=given["I"])
+    flow = called(part.flow, _source=source)
+    flow |= called(part.drain, _source=source, _U=flow["_U"], I=flow["I"])
+    ends = ca.vertcat(given["I"], given["U"], *((given[f"next_{n}"] - x) / DT for n, x in states.items()))
+    rates = ca.vertcat(flow["I"], flow["U"], *(flow[f"der_{n}"] for n in states))
     rng = random(seed)
     soc_T = np.column_stack([rng.uniform(0.01, 0.99, N), rng.uniform(263, 323, N)])
-    limits = part.limits_at(soc, T, U_min)
     lowest, highest = ca.Function("limits", [soc, T], [limits.P_min, limits.P_max])(soc_T[:, :1].T, soc_T[:, 1:].T)
     lowest, highest = lowest.full().ravel(), highest.full().ravel()
     power = lowest + (highest - lowest) * rng.uniform(0.001, 0.999, N)
@@ -280,7 +341,8 @@ def battery_case(name, seed, **values):
     edges = np.vstack([*at_limits, [[1e3, 0.0, 293.15], [-1e3, 1.0, 293.15], [0, 0.5, 293.15]]])
     inside = np.column_stack([power, soc_T])
     P_loss, P_in, P_out = ca.SX(given["P_loss"]), given["P_stored"], given["dc"].P
-    return Case(x, (P,), (ends,), (P_out,), (rates,), (rates,), P_loss, P_in, P_out, ca.SX(0), inside, edges)
+    stored = ca.SX(given.get("P_discretisation", 0))
+    return Case(x, (P,), (ends,), (P_out,), (rates,), (rates,), P_loss, P_in, P_out, stored, inside, edges)
 
 
 SCALED_MOTOR = {"speed_scale": 0.8, "torque_scale": 1.3, "efficiency_scale": 0.95}
@@ -289,8 +351,10 @@ SCALED_MOTOR = {"speed_scale": 0.8, "torque_scale": 1.3, "efficiency_scale": 0.9
 def two_sided_cases(kind):
     """Yield cases of all components of a two-sided kind, by name."""
     for seed, name in enumerate(component_names(kind)):
-        if kind == "motor":
+        if kind in ("motor", "motor-thermal"):
             yield name, lambda n=name, s=seed: motor_case(component(n), s)
+        elif kind == "motor-generator":
+            yield name, lambda n=name, s=seed: motor_generator_case(component(n), s)
         elif kind.startswith("gearbox"):
             for gear in {1, len(component(name).p.ratios)}:
                 yield f"{name}-{gear}", lambda n=name, g=gear, s=seed: gearbox_case(component(n), g, s)
@@ -314,17 +378,24 @@ CASES |= {
     "gearbox-map-scaled": lambda: gearbox_case(component("five-speed-map", torque_scale=1.5, efficiency_scale=0.9, J=0.02), 2, 22),
     "final-drive-with-losses": lambda: final_drive_case(component("unity", i=3.7, tau_loss=2.0, J=0.01), 23),
     "accessories-with-both-loads": lambda: mechanical_case(component("mechanical-700w", tau_on=3.0, eta=0.8), 1.0),
+    "planetary-gear": lambda: planetary_case(component("planetary-78-30"), 7),
+    "electric-node": lambda: node_case(component("electric-node"), 9),
+    "priority-node": lambda: node_case(component("priority-node"), 8),
     "bus": lambda: bus_case(component("bus"), 0.0),
     "bus-with-generator": lambda: bus_case(component("bus"), 12e3),
     "body-without-drag": lambda: body_case("small-car", 24, c_d=0.0),
     "rear-wheels": lambda: wheel_case("small-car-wheels", "small-car", 25, front_driven=0.0, rear_driven=1.0),
     "all-wheels": lambda: wheel_case("small-car-wheels", "small-car", 26, rear_driven=1.0),
     "wheels-with-rolling-resistance-by-speed": lambda: wheel_case("small-car-wheels", "small-car", 27, f_1=1e-4),
-    "battery-at-its-largest-power": lambda: battery_case("nimh-93ah", 28, u_min=0.0),
+    "battery-at-its-largest-power": lambda: store_case("nimh-93ah", 28, u_min=0.0),
 }
 CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 30 + i) for i, n in enumerate(component_names("body"))}
-CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(component_names("wheel"))}
-CASES |= {f"battery-{n}": lambda n=n, i=i: battery_case(n, 50 + i) for i, n in enumerate(component_names("battery"))}
+WHEELS = [*component_names("wheel"), *component_names("wheel-j2452")]
+CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(WHEELS)}
+CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 46 + i, m=1500.0, F_1=1.5) for i, n in enumerate(component_names("coast-down-body"))}
+CASES |= {"wheels-under-a-body-by-its-road-load": lambda: wheel_case("suv-wheels-j2452", "small-car-coast-down", 48)}
+STORES = [name for kind in ("battery", "battery-rc", "ultracapacitor") for name in component_names(kind)]
+CASES |= {f"battery-{n}": lambda n=n, i=i: store_case(n, 50 + i) for i, n in enumerate(STORES)}
 
 
 @cache
