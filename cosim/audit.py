@@ -134,9 +134,8 @@ class Auditor:
     @staticmethod
     def _point(c: Connection, model: Model, row: ca.SX, outputs: Mapping[str, int]) -> Any:
         fields, (_, out) = SHOWN[c.supply_port.kind], model.suffixes(c)
-        return c.supply_port.kind(*(
-            row[outputs[f"{c.supply}.{'P_out' if f == 'P' else f}{out}"]] if f in fields else ca.SX.nan() for f in c.supply_port.kind._fields
-        ))  # fmt: skip
+        places = {f: f"{c.supply}.{'P_out' if f == 'P' else f}{out}" for f in fields}
+        return c.supply_port.kind(*(row[outputs[places[f]]] if f in places else ca.SX.nan() for f in c.supply_port.kind._fields))
 
     @staticmethod
     def _pairs(c: Connection, model: Model, outputs: Mapping[str, int]) -> list[tuple[int, int]]:

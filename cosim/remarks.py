@@ -42,13 +42,11 @@ class Found(NamedTuple):
 
 def _power_missing(result: Result, part: str) -> Array | None:
     """Return what is asked of a part less what it gives, as its neighbour toward the wheel books it [W]."""
-    names = [d.name for d in result.outputs]
-    for required in (n for n in reversed(names) if n.endswith("_required") and ".P_in" in n):
-        given = required.removesuffix("_required")
-        # With several sources the input is named after its own.
-        single = given.endswith(".P_in") and np.array_equal(result[given], result[f"{part}.P_out"])
-        if given.endswith(f".P_in_{part}") or single:
-            return np.asarray(result[required] - result[given])
+    gives = result[f"{part}.P_out"]
+    for required in (d.name for d in reversed(result.outputs) if d.name.endswith("_required") and ".P_in" in d.name):
+        # The neighbour gets what the part gives, to the last bit.
+        if np.array_equal(result[required.removesuffix("_required")], gives):
+            return np.asarray(result[required] - gives)
     return None
 
 
@@ -57,10 +55,12 @@ def _store(result: Result, part: str, acts: Mask) -> Iterator[Found]:
     soc = np.concatenate([[result.first.get(name, np.nan)], result[name][:-1]])
     missing = _power_missing(result, part)
     discharging = missing > 0 if missing is not None else result[f"{part}.P_out"] > 0
-    yield Found("empty", acts & discharging & (soc <= SOC_EMPTY), missing, "not given")
-    yield Found("lowest voltage", acts & discharging & (soc > SOC_EMPTY), missing, "not given")
-    yield Found("full", acts & ~discharging & (soc >= SOC_FULL), missing, "not taken")
-    yield Found("highest voltage", acts & ~discharging & (soc < SOC_FULL), missing, "not taken")
+    set_to = result.inputs.parameters
+    empty, full = set_to.get(f"{part}.soc_empty", SOC_EMPTY), set_to.get(f"{part}.soc_full", SOC_FULL)
+    yield Found("empty", acts & discharging & (soc <= empty), missing, "not given")
+    yield Found("lowest voltage", acts & discharging & (soc > empty), missing, "not given")
+    yield Found("full", acts & ~discharging & (soc >= full), missing, "not taken")
+    yield Found("highest voltage", acts & ~discharging & (soc < full), missing, "not taken")
 
 
 def _grip(result: Result, part: str, acts: Mask) -> Iterator[Found]:

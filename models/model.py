@@ -29,7 +29,7 @@ class Model:
         self.parts = dict(parts)
         self.connections: list[Connection] = []
         #: Which part stands for what a part reads from, by the reader and its name for it.
-        self.bindings: dict[str, dict[str, str]] = {}
+        self.bindings: dict[str, dict[str, str | None]] = {}
         self._problems: list[str] = []
         self._tried: set[tuple[str, str]] = set()
         roles: dict[int, str] = {}
@@ -66,9 +66,9 @@ class Model:
                     return
         self.connections.append(Connection(self._place(load), load.port, self._place(supply), supply.port))
 
-    def bind(self, reader: str, **owners: str) -> None:
-        """Say which parts a part reads from, by its own names for them (`From`), where several could be meant."""
-        lost = [name for name in (reader, *owners.values()) if name not in self.parts]
+    def bind(self, reader: str, **owners: str | None) -> None:
+        """Say which parts a part reads from, by its own names for them (`From`), where several could be meant, or none should."""
+        lost = [name for name in (reader, *owners.values()) if name is not None and name not in self.parts]
         self._problems += [f"{name} is no part of this model{nearest(name, self.parts)}" for name in lost]
         self.bindings.setdefault(reader, {}).update(owners)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias, cast
 
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.tables import Table
-from halfshaft.library.chassis.wheel import WheelParameters
+from halfshaft.library.chassis.wheel import AxleParameters
 from halfshaft.library.control.series import genset_locus
 from halfshaft.library.driveline.final_drive import FinalDriveParameters
 from halfshaft.library.electric.generator import GeneratorParameters
@@ -31,6 +31,11 @@ class Rule(Parameters):
         """Return the value; `sets` are the parameters by the rule's own names for the parts."""
         raise NotImplementedError
 
+    @classmethod
+    def lacks(cls) -> bool:
+        """Return whether it has numbers that only a vehicle can give."""
+        return any(f.default is MISSING for f in fields(cls))
+
 
 @dataclass(frozen=True, kw_only=True)
 class TopSpeed(Rule):
@@ -43,7 +48,7 @@ class TopSpeed(Rule):
 
     def __call__(self, sets: Sets) -> tuple[float]:
         """Return the ratio of a single-speed gearbox."""
-        motor, wheel = cast(MotorParameters, sets["motor"]), cast(WheelParameters, sets["wheel"])
+        motor, wheel = cast(MotorParameters, sets["motor"]), cast(AxleParameters, sets["wheel"])
         final_drive = cast(FinalDriveParameters, sets["final_drive"])
         return (motor.omega_max * motor.speed_scale / (self.v / wheel.r * (1 + self.slip)) / final_drive.i,)
 
@@ -73,6 +78,31 @@ class GensetLocus(Rule):
     def __call__(self, sets: Sets) -> Table:
         """Return the speed over engine power."""
         return _locus(cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CouplerTopSpeed(TopSpeed):
+    """The ratio of a torque coupler behind the gearbox at which the motor reaches its top speed when the vehicle drives at `v`."""
+
+    name = "coupler-top-speed"
+
+    def __call__(self, sets: Sets) -> Any:
+        """Return the ratio of the motor's speed to that of the shaft."""
+        return super().__call__(sets)[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TogetherAtTop(Rule):
+    """The ratio of a torque coupler at which the motor turns at a share of its top speed when the engine is at its own."""
+
+    name = "together-at-top"
+    needs = ("motor", "engine")
+    share: float = param("1", "share of the motor's top speed", 0.99, ge=0.01, le=1)
+
+    def __call__(self, sets: Sets) -> float:
+        """Return the ratio of the motor's speed to the engine's."""
+        motor, engine = cast(MotorParameters, sets["motor"]), cast(EngineParameters, sets["engine"])
+        return self.share * motor.omega_max * motor.speed_scale / (engine.tau_max.inside(0)[1] * engine.speed_scale)
 
 
 # The locus takes longer than all else here, and most changes leave engine and generator alone.

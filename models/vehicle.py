@@ -412,8 +412,15 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
     rules = dict(vehicle.rules)
     derived = {d.target: d for d in powertrains()[vehicle.powertrain].derived}
     for d in derived.values():
-        if d.parameter not in values[d.role]:
-            rules.setdefault(d.target, d.rules[0]())
+        if d.parameter in values[d.role] or d.target in rules:
+            continue
+        if d.rules[0].lacks():
+            names = " or ".join(rule.name for rule in d.rules)
+            problems.append(f"{d.target} has no value; set it, or derive it by {names}")
+        else:
+            rules[d.target] = d.rules[0]()
+    if problems:
+        raise InputError(f"vehicle '{vehicle.name}'", problems)
     rows_set = {name.rpartition("_")[0] for name in vehicle.given}
     rules = {target: rule for target, rule in rules.items() if target not in rows_set | vehicle.given.keys()}
     # What looks at all parts comes last.

@@ -112,6 +112,11 @@ class Wiring:
         known = dict(bound)
         for source in sorted(part.reads, key=lambda source: source.optional):
             slips: list[str] = []
+            if source.owner in known and known[source.owner] is None:
+                if not source.optional:
+                    slips.append(f"{name} is bound to no {source.owner}, of which it must read {', '.join(source.arguments)}")
+                found |= dict.fromkeys(source.arguments, Unread(slips) if slips else None)
+                continue
             owners = self._owners(name, source, known.get(source.owner), slips)
             if len(owners) == 1 and not source.each:
                 known.setdefault(source.owner, owners[0])

@@ -1,14 +1,8 @@
 """Control of clutch and engine in a conventional car: sampled laws.
 
-::
-
-    open     while shifting, or no torque is asked for below idling speed (or at any speed, if so set)
-    slipping while torque is asked for below the launch speed and the clutch was not engaged before
-    engaged  else
-
-The engine idles at stops unless told not to; the commanded speed is that of the clutch, never below idling.  The
-original raises the engine to launch speed one sample before the trace starts to move; a control that cannot see the
-next sample does not, and neither does this one.
+The clutch follows `halfshaft.library.control.clutch_logic`.  The engine idles at stops unless told not to; the commanded
+speed is that of the clutch, never below idling.  The original raises the engine to launch speed one sample before the trace
+starts to move; a control that cannot see the next sample does not, and neither does this one.
 """
 
 from __future__ import annotations
@@ -24,8 +18,7 @@ from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Expr
-
-OPEN, SLIPPING, ENGAGED = 1, 2, 3
+from halfshaft.library.control.clutch_logic import ENGAGED, OPEN, clutch_logic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,23 +78,20 @@ class ConventionalControl(Component):
         engine: Machine, clutch_before: Expr, on_before: Expr, decided: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Decide on clutch and engine for this step."""
-        p, asked = self.p, tau_clutch > 1e-3
-        idle_open = ca.logic_and(ca.logic_not(asked), ca.logic_or(p.open_when_braking, omega_input_estimate < p.omega_idle))
-        is_open = where(decided, clutch_before == OPEN, ca.logic_or(shifting, idle_open))
-        # The estimate is that of the old gear: after a shift down the clutch may already turn faster.
-        omega_input = ca.fmax(omega_input_estimate, omega_clutch)
-        slipping = ca.logic_and(ca.logic_and(asked, omega_input < omega_launch), clutch_before < 2.5)
-        slipping = where(decided, clutch_before == SLIPPING, ca.logic_and(slipping, ca.logic_not(is_open)))
-        state = where(is_open, OPEN, where(slipping, SLIPPING, ENGAGED))
-        on = ca.logic_and(key_on, ca.logic_or(p.idle_at_stop, ca.logic_not(is_open)))
+        p = self.p
+        clutch = clutch_logic(
+            tau=tau_clutch, omega=omega_clutch, omega_estimate=omega_input_estimate, omega_idle=p.omega_idle, omega_launch=omega_launch,
+            open_when_braking=p.open_when_braking, opened=shifting, before=clutch_before, decided=decided,
+        )  # fmt: skip
+        on = ca.logic_and(key_on, ca.logic_or(p.idle_at_stop, ca.logic_not(clutch.is_open)))
         on = where(decided, on_before, ca.logic_or(on, ca.logic_and(shifting, on_before)))
-        omega = clip(where(slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
+        omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
         return {
-            "clutch_state": state,
-            "clutch_open": is_open,
-            "clutch_slipping": slipping,
+            "clutch_state": clutch.state,
+            "clutch_open": clutch.is_open,
+            "clutch_slipping": clutch.slipping,
             "engine_on": on,
             "omega_command": where(on, omega, 0),
-            "next_clutch_before": state,
+            "next_clutch_before": clutch.state,
             "next_on_before": on,
         }

@@ -6,10 +6,10 @@ torque that the machine can give at the estimated input speed::
     tau_e = tau_out / (clip(eta, 0.2, 1) G)                                  (1)
     load  = clip(tau_e / tau_max(omega_e), 0, 1), 1 while the grip limit acts
 
-Shift up where the load is below the up line of the present gear, down where it is above the down line, one gear a
-step, not down so soon after a gear was raised.  That rule counts seconds: the original's two steps are two seconds at
-steps of 1 s, but at 0.01 s would let the gears change 1900 times on UDDS.  After a change the gearbox is open for the
-shift delay.  A gearbox with one ratio uses `FixedGear`.
+Shift up where the load is below the up line of the present gear, and the control of a hybrid allows it; down where it is
+above the down line; one gear a step, not down so soon after a gear was raised.  That rule counts seconds: the original's two
+steps are two seconds at steps of 1 s, but at 0.01 s would let the gears change 1900 times on UDDS.  After a change the gearbox
+is open for the shift delay.  A gearbox with one ratio uses `FixedGear`.
 
 An automatic gearbox (`AutomaticShift`) passes torque while it shifts.  Speed and torque in (1) are those of the engine, behind
 the converter, the efficiency is at least 0.7, and the load of a braking engine is negative.  The control also closes the
@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -84,25 +84,30 @@ class Shift(Component):
     family = "gear-choice"
     p: ShiftParameters
     parameters = ShiftParameters
-    states = (
+    states: ClassVar[tuple[State, ...]] = (
         State("gear_before", "1", "gear of the previous step", decision=True),
         State("raised", "1", "whether the last change of gear was upward", decision=True),
         State("t_since_shift", "s", "time since the last change of gear", decision=True),
         State("omega_estimate", "rad/s", "input speed at the end of the previous step, as achieved"),
     )
-    variables = (
+    variables: ClassVar[tuple[Variable, ...]] = (
         Variable("gear", "1", "gear", signal=True, kind="count", tag="gear"),
         Variable("ratio", "1", "ratio of the gear", signal=True),
         Variable("shifting", "1", "whether a shift is under way", signal=True, kind="flag"),
         Variable("load", "1", "estimated load of the machine"),
     )
-    signals = (Signal("omega_input_estimate", "rad/s", "estimated input speed, were the gear kept"),)
-    reads = (
+    signals = (
+        Signal("omega_input_estimate", "rad/s", "estimated input speed, were the gear kept"),
+        Signal("ratio_before", "1", "ratio of the gear so far"),
+        Signal("ratio_above", "1", "ratio of the next gear up"),
+    )
+    reads: ClassVar[tuple[From, ...]] = (
         From("gearbox", tau_gearbox="N.m", omega_gearbox="rad/s", torque_ratio="1", ratios="1", omega_gearbox_input="rad/s"),
         From("machine", Machine, along=("gearbox", "input")),
         From("wheel", slip_limited="1", v_driveline="m/s"),
         From("body", trace_missed="1", next_v="m/s"),
         From("accessories", optional=True, tau_accessory_before="N.m"),
+        From("control", optional=True, upshift_allowed="1"),
     )
 
     def start(self) -> Mapping[str, Any]:
@@ -115,6 +120,11 @@ class Shift(Component):
         for i, r in enumerate(ratios[1:], 2):
             ratio = where(gear >= i - 0.5, r, ratio)
         return ratio
+
+    @face("ratio_before", "ratio_above")
+    def neighbours(self, gear_before: Expr, ratios: tuple[Expr, ...]) -> Mapping[str, Any]:
+        """Publish the ratios among which a shift upward chooses."""
+        return {"ratio_before": self.ratio_of(gear_before, ratios), "ratio_above": self.ratio_of(gear_before + 1, ratios)}
 
     def input_speed(
         self, omega_gearbox: Expr, ratio_before: Expr, trace_missed: Expr, slip_limited: Expr, omega_estimate: Expr, dt: Expr
@@ -139,7 +149,7 @@ class Shift(Component):
     @face("gear", "ratio", "shifting", "next_gear_before", "next_raised", "next_t_since_shift")
     def control(
         self, load: Expr, omega_input_estimate: Expr, ratios: tuple[Expr, ...], dt: Expr, gear_before: Expr, raised: Expr,
-        t_since_shift: Expr, decided: Expr,
+        t_since_shift: Expr, decided: Expr, upshift_allowed: Expr = 1.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Choose the gear for this step."""
         omega = omega_input_estimate
@@ -147,6 +157,7 @@ class Shift(Component):
         kept = ca.logic_and(raised, t_since_shift < self.p.t_raised - 1e-6)
         up = ca.logic_and(free, load < self.p.up(omega, gear_before))
         down = ca.logic_and(ca.logic_and(free, load > self.p.down(omega, gear_before)), ca.logic_not(kept))
+        up = ca.logic_and(up, upshift_allowed)
         change = where(decided, 0, where(up, 1, where(down, -1, 0)))
         gear = clip(gear_before + change, 1, len(ratios))
         since = where(decided, t_since_shift, where(gear != gear_before, 0, t_since_shift + dt))
@@ -193,7 +204,7 @@ class AutomaticShift(Shift):
         return where(slip_limited, 1, clip(tau / ca.fmax(machine.tau_envelope(omega), 1e-9), -1, 1))
 
     @face("load", "omega_input_estimate")
-    def demand(  # type: ignore[override]
+    def demand(
         self, tau_gearbox: Expr, omega_gearbox: Expr, slip_limited: Expr, trace_missed: Expr, torque_ratio: Expr,
         ratios: tuple[Expr, ...], machine: Machine, converter: TorqueConverter, omega_idle: Expr, dt: Expr, gear_before: Expr,
         omega_estimate: Expr, locked_before: Expr, tau_accessory_before: Expr = 0.0,

@@ -1,8 +1,9 @@
 """Friction clutch between gearbox and engine: open, slipping or engaged.
 
 Torque passes unchanged, open none.  The engine is asked for all of it, and cuts it by its own law; what it gives passes
-up to its largest torque.  While slipping, the engine is asked for the launch speed and the power
-``tau (omega_in - omega_out)`` is lost.  The control says which state holds.
+up to its largest torque.  A control of a hybrid may ask the engine for another torque than the wheels do.  While slipping,
+the engine is asked for the launch speed and the power ``tau (omega_in - omega_out)`` is lost.  The control says which state
+holds.
 """
 
 from __future__ import annotations
@@ -47,9 +48,11 @@ class Clutch(TwoSided):
     )
     reads = (
         From("control", clutch_open="1", clutch_slipping="1", omega_launch="rad/s", omega_idle="rad/s"),
+        From("control", optional=True, tau_command="N.m"),
         From("engine", Machine, along=("input",)),
         From("engine", omega_engine="rad/s"),
         From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
+        From("coupler", optional=True, tau_beside="N.m"),
     )
 
     @face("geared")
@@ -62,11 +65,13 @@ class Clutch(TwoSided):
         """Publish the required output point, which the control looks at."""
         return {"tau_clutch": output.tau, "omega_clutch": output.omega}
 
-    def chain(self, clutch_open: Expr, clutch_slipping: Expr, omega_launch: Expr, engine: Machine) -> tuple[Link, ...]:  # type: ignore[override]
+    def chain(  # type: ignore[override]
+        self, clutch_open: Expr, clutch_slipping: Expr, omega_launch: Expr, engine: Machine, tau_command: Expr | None = None
+    ) -> tuple[Link, ...]:
         """Return the torque that passes and the speed behind the clutch."""
 
         def cut(load: Shaft) -> Shaft:
-            return load._replace(tau=where(clutch_open, 0, load.tau))
+            return load._replace(tau=where(clutch_open, 0, load.tau if tau_command is None else tau_command))
 
         def law(load: Shaft) -> Shaft:
             return load._replace(omega=where(clutch_slipping, omega_launch, load.omega))
@@ -93,20 +98,25 @@ class Clutch(TwoSided):
         engine: Machine,
         tau_grip_out: Expr,
         tau_grip_in: Expr,
+        tau_command: Expr | None = None,
+        tau_beside: Expr = 0.0,
     ) -> Mapping[str, Any]:
         """Return the torque of the friction pair in continuous time: capacity times a smooth function of the slip speed.
 
         Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for.
         It is less while the engine is below its launch speed, or engaged below its idling speed, so that it is not stalled.
-        The tyres' grip cuts what passes.
+        The tyres' grip cuts what passes; a motor beside the clutch gives way first.
         """
+        asked = tau_clutch if tau_command is None else tau_command
         low = BITE * omega_idle
         full = where(clutch_slipping, omega_launch, omega_idle)
         bite = clip((omega_engine - low) / ca.fmax(full - low, 1), 0, 1)
-        capacity = bite * where(clutch_slipping, clip(tau_clutch, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
+        capacity = bite * where(clutch_slipping, clip(asked, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
         tau = where(clutch_open, 0, capacity) * ca.tanh((omega_engine - output.omega) / OMEGA_SLIP)
+        more = ca.fmax(tau_grip_out + ca.fmax(tau_beside, 0), -output.tau)
+        less = ca.fmin(-tau_grip_in - ca.fmax(-tau_beside, 0), -output.tau)
         return {
             "input": Shaft(output.tau, omega_engine, 0.0),
             "P_loss": output.tau * (omega_engine - output.omega),
-            "balance": ca.fmax(ca.fmin(tau - output.tau, ca.fmax(tau_grip_out, -output.tau)), ca.fmin(-tau_grip_in, -output.tau)),
+            "balance": ca.fmax(ca.fmin(tau - output.tau, more), less),
         }

@@ -28,7 +28,7 @@ import numpy as np
 
 from halfshaft.library.base.component import Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, clip, lifted, where
-from halfshaft.library.base.parameters import Parameters, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
 from halfshaft.library.base.ports import Electric, Expr, Port
 from halfshaft.library.base.tables import Axis, Table
 
@@ -105,7 +105,22 @@ class NetPowerParameters(FuelCellParameters):
     P_scale: float = param("1", "factor on all powers", 1.0, ge=0.01, le=100)
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
 
+    rated: ClassVar[tuple[Rated, ...]] = (
+        Rated("P_max", "W", "largest net power", "P_scale", lambda p: p.P_scale * p.fuel.inside(0)[1]),
+        Rated("e_max", "1", "best efficiency", "efficiency_scale", lambda p: best_efficiency(p)),
+    )
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.fuel, lambda P, fuel: [(P, fuel)], p.H_fuel), LIFTED),)
+
+    @property
+    def weight(self) -> float:
+        """Mass of the system [kg]."""
+        return self.mass * self.P_scale
+
+
+def best_efficiency(p: NetPowerParameters) -> float:
+    """Return the best efficiency of the map."""
+    P, P_fuel = p.fuel.points[0], p.H_fuel * p.fuel.values
+    return float(p.efficiency_scale * np.max(np.divide(P, P_fuel, out=np.zeros_like(P), where=P_fuel > 0)))
 
 
 @dataclass(frozen=True)

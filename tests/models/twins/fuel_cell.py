@@ -2,7 +2,8 @@
 
 from .chassis import Road
 from .driveline import FinalDrive, Gearbox
-from .electric import Accessories, Battery, Bus, Motor
+from .electric import Accessories, Bus, Motor
+from .stores import store_of
 from .tables import Look, clip
 from .vehicles import columns, seen, shift_of, steps
 
@@ -99,7 +100,7 @@ def drive(parameters, samples):
     p = parameters
     road, final, gearbox = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Gearbox(p["gearbox"])
     motor, accessories, bus = Motor(p["motor"]), Accessories(p["accessories"]), Bus()
-    shift, battery = shift_of(p["shift"], p["gearbox"].ratios, motor.T_max), Battery(p["battery"], p["motor"].U_min)
+    shift, battery = shift_of(p["shift"], p["gearbox"].ratios, motor.T_max), store_of(p["battery"], p["motor"].U_min)
     fuel_cell = (Polarisation if hasattr(p["fuel_cell"], "U_cell") else FuelCell)(p["fuel_cell"])
     control = Control(p["control"], fuel_cell.P_largest)
     rows = []

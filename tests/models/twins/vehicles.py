@@ -157,7 +157,8 @@ def two_motor(parameters, samples):
         parts = [x / sum(shares) if sum(shares) != 0 else 0.5 for x in shares]
         given = [x if lack == 0 else x + lack * part for x, part in zip(asked, parts, strict=True)]
         ends = [
-            final.available(*gearbox.available(*motor.available(x))) for (final, gearbox, _, motor), x in zip(drives.values(), given, strict=True)
+            final.available(*gearbox.available(*motor.available(x)))
+            for (final, gearbox, _, motor), x in zip(drives.values(), given, strict=True)
         ]
         road.available(sum(T for T, _ in ends), min(w, *(w for _, w in ends)))
         row = {name.replace("final_drive.", "divider."): x for name, x in seen(road).items()}

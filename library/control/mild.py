@@ -1,0 +1,159 @@
+"""Control of a mild hybrid, whose machine sits on the crankshaft: sampled laws in the manner of the 2000 Honda Insight's.
+
+*Decide*: the engine is off where no torque is asked for below `v_decel`, so long as the battery is not short; the clutch follows
+`halfshaft.library.control.clutch_logic`, and is open behind an engine that is off.
+
+*Operating point*: what is wanted of the machine, by the torque ``tau`` that the clutch is asked for and the largest torque ``tau_max``
+that the machine gives for long at the crankshaft::
+
+    crank   J (omega_command - omega_own) / dt        in the step that starts the engine, at most tau_max
+    assist  share_low tau_max + slope (tau - tau_assist), at most share_high tau_max
+            while tau >= tau_assist, a >= a_assist, v >= v_assist, and not in the first gear
+    full    min(tau_max, P_full / omega)              while tau > tau_full
+    regen   slope_regen (tau - tau_regen)             while tau <= tau_regen and the battery has room
+    else    - P_alternator / omega                    while the battery has room
+
+The engine is asked for the rest, and the machine for what the engine does not give.  Assist fades as the charge falls from
+`soc_assist` to `soc_low`.  Left out: the original's steps of that fading, its warm-up, its fuel cut on overrun.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
+from halfshaft.library.base.expressions import clip, where
+from halfshaft.library.base.parameters import Parameters, Relation, param
+from halfshaft.library.base.ports import Expr
+from halfshaft.library.control.clutch_logic import ASKED, ENGAGED, OPEN, clutch_logic
+from halfshaft.library.electric.motor import Motor
+from halfshaft.library.engine.engine import Engine
+
+
+@dataclass(frozen=True, kw_only=True)
+class MildControlParameters(Parameters):
+    """Window of the state of charge, thresholds and slopes."""
+
+    soc_high: float = param("1", "state of charge above which the machine does not charge", 0.8, ge=1e-3, le=1)
+    soc_assist: float = param("1", "state of charge below which the machine helps less", 0.355, ge=0, le=1)
+    soc_low: float = param("1", "state of charge below which it does not help and the engine is not stopped", 0.2, ge=0, le=0.999)
+    tau_assist: float = param("N.m", "torque above which the machine helps", 25.0, ge=0, le=1e4)
+    a_assist: float = param("m/s^2", "acceleration above which it helps", 0.3, ge=-10, le=10)
+    v_assist: float = param("m/s", "speed above which it helps", 4.4704, ge=0, le=1e3)
+    share_low: float = param("1", "least help over the machine's largest torque", 0.129, ge=0, le=1)
+    share_high: float = param("1", "most help over the machine's largest torque", 0.32, ge=0, le=1)
+    slope: float = param("1", "rise of help with torque", 1 / 11, ge=0, le=10)
+    tau_full: float = param("N.m", "torque above which the machine gives all", 125.0, ge=0, le=1e4)
+    P_full: float = param("W", "power that it then gives at most", 6000.0, ge=0, le=1e8)
+    tau_regen: float = param("N.m", "braking torque beyond which it regenerates, negative", -15.0, ge=-1e4, le=0)
+    slope_regen: float = param("1", "rise of the regenerating torque with the braking torque", 0.7, ge=0, le=1)
+    P_alternator: float = param("W", "power taken from the crankshaft for the accessories", 0.0, ge=0, le=1e6)
+    v_decel: float = param("m/s", "speed below which the engine is off while no torque is asked for", 4.5, ge=0, le=1e3)
+    omega_idle: float = param("rad/s", "idling speed", 94.0, ge=1, le=1e4)
+    launch_share: float = param("1", "launch speed over the engine's highest; at least 1.5 times idling speed", 0.2, ge=1e-3, le=0.999)
+    open_when_braking: float = param("1", "1 if the clutch opens whenever no torque is asked for", 0.0, ge=0, le=1)
+
+    relations = (
+        Relation(lambda p: p.soc_low >= p.soc_assist, "soc_low = {soc_low:g} must be below soc_assist = {soc_assist:g}"),
+        Relation(lambda p: p.soc_assist >= p.soc_high, "soc_assist = {soc_assist:g} must be below soc_high = {soc_high:g}"),
+    )
+
+
+@dataclass(frozen=True)
+class MildControl(Component):
+    """Clutch logic, engine on and off, and the torque that is wanted of the machine."""
+
+    kind = "mild-control"
+    p: MildControlParameters
+    parameters = MildControlParameters
+    states = (
+        State("clutch_before", "1", "state of the clutch in the previous step", decision=True),
+        State("on_before", "1", "whether the engine was on in the previous step", decision=True),
+        State("starting", "1", "whether the last step started the engine", decision=True),
+    )
+    variables = (
+        Variable("clutch_state", "1", "1 open, 2 slipping, 3 engaged", kind="count"),
+        Variable("clutch_open", "1", "whether the clutch is open", signal=True, kind="flag"),
+        Variable("clutch_slipping", "1", "whether the clutch slips", signal=True, kind="flag"),
+        Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
+        Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
+        Variable("tau_machine", "N.m", "torque at the crankshaft that is wanted of the machine", signal=True),
+    )
+    signals = (
+        Signal("omega_idle", "rad/s", "idling speed"),
+        Signal("omega_launch", "rad/s", "speed of the engine while the clutch slips at launch"),
+    )
+    reads = (
+        From("body", v="m/s", a_request="m/s^2"),
+        From("wheel", v_limited="m/s"),
+        From("shift", omega_input_estimate="rad/s", shifting="1", gear="1"),
+        From("clutch", tau_clutch="N.m", omega_clutch="rad/s"),
+        From("engine", Engine),
+        From("engine", omega_own="rad/s"),
+        From("coupler", n_motor="1"),
+        From("motor", Motor, along=("coupler", "motor")),
+        From("battery", soc_before="1"),
+    )
+
+    def start(self, v: Expr) -> Mapping[str, Any]:  # type: ignore[override]
+        """Return the start values: engaged and on if the vehicle moves."""
+        return {"clutch_before": where(v > 0, ENGAGED, OPEN), "on_before": where(v > 0, 1.0, 0.0), "starting": 0.0}
+
+    @face("omega_idle", "omega_launch")
+    def law(self, engine: Engine) -> Mapping[str, Any]:
+        """Publish idling and launch speed."""
+        p = self.p
+        return {"omega_idle": p.omega_idle, "omega_launch": ca.fmax(p.launch_share * engine.omega_max, 1.5 * p.omega_idle)}
+
+    @face(
+        "clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before",
+        "next_starting",
+    )  # fmt: skip
+    def decide(
+        self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, v_limited: Expr, soc_before: Expr,
+        key_on: Expr, omega_launch: Expr, engine: Engine, decided: Expr, clutch_before: Expr, on_before: Expr, starting: Expr,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Decide on clutch and engine for this step."""
+        p = self.p
+        wanted = ca.logic_or(ca.logic_or(tau_clutch > ASKED, v_limited >= p.v_decel), soc_before < p.soc_low)
+        wanted = ca.logic_or(wanted, ca.logic_and(shifting, on_before))
+        on = where(decided, on_before, ca.logic_and(key_on, wanted))
+        clutch = clutch_logic(
+            tau=tau_clutch, omega=omega_clutch, omega_estimate=omega_input_estimate, omega_idle=p.omega_idle, omega_launch=omega_launch,
+            open_when_braking=p.open_when_braking, opened=ca.logic_or(shifting, ca.logic_not(on)), before=clutch_before, decided=decided,
+        )  # fmt: skip
+        omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle, engine.omega_max)
+        return {
+            "clutch_state": clutch.state,
+            "clutch_open": clutch.is_open,
+            "clutch_slipping": clutch.slipping,
+            "engine_on": on,
+            "omega_command": where(on, omega, 0),
+            "next_clutch_before": clutch.state,
+            "next_on_before": on,
+            "next_starting": where(decided, starting, ca.logic_and(on, ca.logic_not(on_before))),
+        }
+
+    @face("tau_machine")
+    def operate(
+        self, tau_clutch: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, gear: Expr, v_limited: Expr, a_request: Expr,
+        soc_before: Expr, omega_own: Expr, engine: Engine, motor: Motor, n_motor: Expr, dt: Expr, on_before: Expr, decided: Expr,
+        starting: Expr,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Choose the machine's torque; it follows the request also where the decisions stand."""
+        p, tau = self.p, where(clutch_open, 0, tau_clutch)
+        omega = ca.fmax(omega_command, 1.0)
+        highest = n_motor * motor.tau_envelope(n_motor * omega_command)
+        fade = clip((soc_before - p.soc_low) / (p.soc_assist - p.soc_low), 0, 1)
+        asked = ca.logic_and(ca.logic_and(tau >= p.tau_assist, gear > 1.5), ca.logic_and(a_request >= p.a_assist, v_limited >= p.v_assist))
+        help = fade * ca.fmin(p.share_low * highest + p.slope * (tau - p.tau_assist), p.share_high * highest)
+        full = fade * ca.fmin(highest, p.P_full / omega)
+        regen = where(tau <= p.tau_regen, p.slope_regen * (tau - p.tau_regen), -p.P_alternator / omega)
+        driving = where(tau > p.tau_full, full, where(asked, help, where(soc_before < p.soc_high, regen, 0)))
+        crank = clip(engine.p.J * (omega_command - omega_own) / dt, 0, highest)
+        begins = where(decided, starting, ca.logic_and(engine_on, ca.logic_not(on_before)))
+        return {"tau_machine": where(begins, crank, where(engine_on, driving, 0))}
