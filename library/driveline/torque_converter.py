@@ -193,7 +193,8 @@ class TorqueConverter(TwoSided):
         def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
             passes = sent.tau != 0
             tau = offered.tau * where(passes, asked.tau / where(passes, sent.tau, 1), 1)
-            return Shaft(where(clutch_open, 0, tau), where(ca.logic_and(geared, ca.logic_not(clutch_open)), offered.omega, asked.omega), asked.alpha)
+            locked = ca.logic_and(geared, ca.logic_not(clutch_open))
+            return Shaft(where(clutch_open, 0, tau), where(locked, offered.omega, asked.omega), asked.alpha)
 
         return limit(cut), Link(law, back, name="oil", omega=turbine)
 

@@ -277,7 +277,10 @@ def test_a_heavy_generator_gets_its_torque_from_the_engine(car_of):
 
 
 #: The cycle sets the first, the axles tell the forward-facing model alone, the others are for reports only.
-WITHOUT_EFFECT = {"body.v_start", "axle_front.rear", "axle_rear.rear", "motor_front.mass", "motor_rear.mass", "motor.mass", "generator.mass", "engine.mass", "engine.rho_fuel"}
+WITHOUT_EFFECT = {
+    "body.v_start", "axle_front.rear", "axle_rear.rear", "motor_front.mass",
+    "motor_rear.mass", "motor.mass", "generator.mass", "engine.mass", "engine.rho_fuel",
+}  # fmt: skip
 
 
 def other_value(vehicle, name):
