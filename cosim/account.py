@@ -95,7 +95,8 @@ def account(outputs: Sequence[Description], energies: Mapping[str, float]) -> Ac
         lost = sum(x for n, x in own.items() if n in losses)
         if received or lost:
             burns = any(n in own for n in entering["fuel"])
-            parts.append(Part(name, sum(received), own.get(f"{name}.P_out", 0.0), lost, burns))
+            sent = sum(x for n, x in own.items() if n.split(".")[1].startswith("P_out"))
+            parts.append(Part(name, sum(received), sent, lost, burns))
     return Account(
         fuel=total.get("fuel", 0.0),
         battery=total.get("stored", 0.0),

@@ -115,11 +115,11 @@ class Auditor:
         self._limits: dict[str, list[tuple[int, int]]] = {name: [] for name in symbols.parts}
         self._powers: dict[str, list[int]] = {name: [] for name in symbols.parts}
         for c in model.connections:
-            point = self._point(c, row, outputs)
+            point = self._point(c, model, row, outputs)
             known["required", c.supply, c.supply_port.name] = known["available", c.supply, c.supply_port.name] = point
             self._limits[c.load] += self._pairs(c, model, outputs)
             for end in (c.load, c.supply):
-                self._powers[end].append(outputs[f"{c.supply}.P_out"])
+                self._powers[end].append(outputs[f"{c.supply}.P_out{model.suffixes(c)[1]}"])
         audits = [(b.part, key) for b in wiring.faces for name, key in b.gives.items() if name == "_audit"]
         values = wiring.evaluate(known, [key for _, key in audits])
         found = [(part, law, x) for part, key in audits for law, x in values[key].items()]
@@ -132,20 +132,18 @@ class Auditor:
         )
 
     @staticmethod
-    def _point(c: Connection, row: ca.SX, outputs: Mapping[str, int]) -> Any:
-        fields = SHOWN[c.supply_port.kind]
-        return c.supply_port.kind(*(
-            row[outputs[f"{c.supply}.{'P_out' if f == 'P' else f}"]] if f in fields else ca.SX.nan() for f in c.supply_port.kind._fields
-        ))  # fmt: skip
+    def _point(c: Connection, model: Model, row: ca.SX, outputs: Mapping[str, int]) -> Any:
+        fields, (_, out) = SHOWN[c.supply_port.kind], model.suffixes(c)
+        places = {f: f"{c.supply}.{'P_out' if f == 'P' else f}{out}" for f in fields}
+        return c.supply_port.kind(*(row[outputs[places[f]]] if f in places else ca.SX.nan() for f in c.supply_port.kind._fields))
 
     @staticmethod
     def _pairs(c: Connection, model: Model, outputs: Mapping[str, int]) -> list[tuple[int, int]]:
         """Return the places of what was required and of what was available at a connection."""
-        fields = [f for f in SHOWN[c.supply_port.kind] if f != "P"]
+        fields, (into, out) = [f for f in SHOWN[c.supply_port.kind] if f != "P"], model.suffixes(c)
         if fields:
-            return [(outputs[f"{c.supply}.{f}_required"], outputs[f"{c.supply}.{f}"]) for f in fields]
-        several = sum(other.load == c.load for other in model.connections) > 1
-        place = f"{c.load}.P_in{f'_{c.load_port.name}' if several else ''}"
+            return [(outputs[f"{c.supply}.{f}{out}_required"], outputs[f"{c.supply}.{f}{out}"]) for f in fields]
+        place = f"{c.load}.P_in{into}"
         return [(outputs[f"{place}_required"], outputs[place])] if f"{place}_required" in outputs else []
 
     def __call__(self, samples: Samples, rows: Array, start: Array, parameters: Array) -> Audit:
@@ -170,18 +168,20 @@ class Auditor:
         requests = np.column_stack([self._slope(before, rows) if samples.grade_by_distance else samples.grade, samples.key_on, dt])
         residuals = np.asarray(self._run(rows.T, before.T, requests.T, parameters)).T
         missed = before[:, places[self._step.tags.the("miss")]] > 0
-        checks = []
+        checks, excused = [], dict[str, Any]()
         for i, (part, law, assumed) in enumerate(self._laws):
             scale = float(np.abs(rows[:, self._powers[part]]).max(initial=0.0))
             limited = missed & assumed
             for required, available in self._limits[part] if assumed else ():
                 limited |= rows[:, required] != rows[:, available]
+            excused[part] = excused.get(part, False) | limited
             free = np.where(limited, 0.0, residuals[:, i])
             k = int(np.argmax(np.abs(free)))
             checks.append(Check(part, law, float(free[k]), float(t[k]), scale, float(dt @ np.where(limited, residuals[:, i], 0.0))))
         negative = []
         for name in (d.name for d in self._step.outputs if d.booking == "loss"):
-            loss = rows[:, places[name]]
+            # Where something else comes than was asked for, the slip, or an efficiency, is still that of the request.
+            loss = np.where(excused.get(name.partition(".")[0], False), 0.0, rows[:, places[name]])
             below = loss < -max(SHARE * np.abs(loss).max(initial=0.0), WATTS)
             if below.any():
                 k = int(np.argmin(loss))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.units import Units, shown
 from halfshaft.library.base.tags import part_of
-from halfshaft.library.electric.battery import SOC_FULL
+from halfshaft.library.electric.store import SOC_FULL
 
 if TYPE_CHECKING:
     from halfshaft.cosim.result import Result
@@ -42,13 +42,11 @@ class Found(NamedTuple):
 
 def _power_missing(result: Result, part: str) -> Array | None:
     """Return what is asked of a part less what it gives, as its neighbour toward the wheel books it [W]."""
-    names = [d.name for d in result.outputs]
-    for required in (n for n in reversed(names) if n.endswith("_required") and ".P_in" in n):
-        given = required.removesuffix("_required")
-        # With several sources the input is named after its own.
-        single = given.endswith(".P_in") and np.array_equal(result[given], result[f"{part}.P_out"])
-        if given.endswith(f".P_in_{part}") or single:
-            return np.asarray(result[required] - result[given])
+    gives = result[f"{part}.P_out"]
+    for required in (d.name for d in reversed(result.outputs) if d.name.endswith("_required") and ".P_in" in d.name):
+        # The neighbour gets what the part gives, to the last bit.
+        if np.array_equal(result[required.removesuffix("_required")], gives):
+            return np.asarray(result[required] - gives)
     return None
 
 

@@ -48,12 +48,12 @@ class Inputs:
     dt: float
     version: str
     parameters: Mapping[str, float]
-    #: What the parameters are, by name.
-    tags: Mapping[str, str] = field(default_factory=dict, repr=False)
     #: Whether the step ran as machine code.
     compiled: bool = True
     #: Hashes of the cycle and of the parts by role; empty for files of version 0.1.
     hashes: Mapping[str, str] = field(default_factory=dict, repr=False)
+    #: What the parameters are, by name.
+    tags: Mapping[str, str] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)

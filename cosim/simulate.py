@@ -109,9 +109,8 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     """
     dt = _checked(vehicle, cycle, via, dt, mode)
     made = Made(vehicle, cycle, time.time())
-    inputs = Inputs(
-        vehicle.name, vehicle.powertrain, cycle.name, via, mode, dt, __version__, dict(vehicle.values), vehicle.tags, hashes=Hashes(made)
-    )  # fmt: skip
+    what = (vehicle.name, vehicle.powertrain, cycle.name)
+    inputs = Inputs(*what, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made), tags=vehicle.tags)
     if via == "forward":
         return _run_forward(vehicle, cycle, inputs, made)
     if via in ("fmu2", "fmu3"):

@@ -171,21 +171,23 @@ def _described_outputs(model: Model, parts: Mapping[str, Component], states: lis
         for c in model.connections:
             required: Key = ("required", c.supply, c.supply_port.name)
             available: Key = ("available", c.supply, c.supply_port.name)
+            into, out = model.suffixes(c)
             fields, supplied = [f for f in SHOWN[c.supply_port.kind] if f != "P"], c.supply_port.tags
             if c.supply == name:
                 for f in fields:
-                    offered = Description(f"{name}.{f}", UNITS[f], f"{MEANINGS[f]} toward the wheel, available", tag=supplied.get(f, ""))
+                    offered = Description(
+                        f"{name}.{f}{out}", UNITS[f], f"{MEANINGS[f]} toward the wheel, available", tag=supplied.get(f, "")
+                    )
                     found.append((offered, available, f))
-                    found.append((Description(f"{name}.{f}_required", UNITS[f], f"{MEANINGS[f]} toward the wheel, required"), required, f))
-                power = Description(f"{name}.P_out", "W", "power toward the wheel, available", tag=supplied.get("P", ""))
+                    asked = Description(f"{name}.{f}{out}_required", UNITS[f], f"{MEANINGS[f]} toward the wheel, required")
+                    found.append((asked, required, f))
+                power = Description(f"{name}.P_out{out}", "W", "power toward the wheel, available", tag=supplied.get("P", ""))
                 found.append((power, available, "P"))
             if c.load == name:
-                several = sum(other.load == name for other in model.connections) > 1
-                suffix = f"_{c.load_port.name}" if several else ""
-                came = Description(f"{name}.P_in{suffix}", "W", "power from the source, available", tag=c.load_port.tags.get("P", ""))
+                came = Description(f"{name}.P_in{into}", "W", "power from the source, available", tag=c.load_port.tags.get("P", ""))
                 found.append((came, available, "P"))
                 if not fields:
-                    found.append((Description(f"{name}.P_in{suffix}_required", "W", "power from the source, required"), required, "P"))
+                    found.append((Description(f"{name}.P_in{into}_required", "W", "power from the source, required"), required, "P"))
     return found
 
 

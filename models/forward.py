@@ -159,14 +159,14 @@ def assemble_plant(model: Model, step: Step, functions: Mapping[str, ca.Function
                 shown.append((of_variable(name, v), values[key]))
         for c in model.connections:
             point: Any = values.get(("required", c.supply, c.supply_port.name), values.get(("available", c.supply, c.supply_port.name)))
+            into, out = model.suffixes(c)
             for field in SHOWN[c.supply_port.kind]:
                 if c.supply == name and field != "P":
-                    shown.append((_described(step, f"{name}.{field}"), getattr(point, field)))
+                    shown.append((_described(step, f"{name}.{field}{out}"), getattr(point, field)))
             if c.supply == name:
-                shown.append((_described(step, f"{name}.P_out"), point.P))
+                shown.append((_described(step, f"{name}.P_out{out}"), point.P))
             if c.load == name:
-                several = sum(other.load == name for other in model.connections) > 1
-                shown.append((_described(step, f"{name}.P_in{f'_{c.load_port.name}' if several else ''}"), point.P))
+                shown.append((_described(step, f"{name}.P_in{into}"), point.P))
     integrals = [(d, value) for d, value in shown if d.unit == "W"]
     p = ca.vertcat(*held.values(), grade, key_on, symbols.parameters)
     quad = ca.vertcat(*(value for _, value in integrals))

@@ -99,6 +99,11 @@ class Model:
         self._problems.append(f"{name} {said}")
         return None
 
+    def suffixes(self, c: Connection) -> tuple[str, str]:
+        """Return what follows the names of outputs at the load's and at the supply's end, where a part has several ports that way."""
+        load = f"_{c.load_port.name}" if sum(other.load == c.load for other in self.connections) > 1 else ""
+        return load, f"_{c.supply_port.name}" if sum(other.supply == c.supply for other in self.connections) > 1 else ""
+
     def check(self) -> list[str]:
         """Return what is wrong with the connections."""
         used = {(c.load, c.load_port.name) for c in self.connections} | {(c.supply, c.supply_port.name) for c in self.connections}

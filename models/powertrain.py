@@ -18,7 +18,7 @@ from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.files.catalog import component_kinds, data_files, modules, packages
 from halfshaft.models.model import Model
-from halfshaft.models.rules import Rule, Sets, SumOfParts
+from halfshaft.models.rules import Rule, Sets
 
 #: Names of powertrains and roles.
 NAME = re.compile("[a-z][a-z0-9]*(_[a-z0-9]+)*")
@@ -51,10 +51,6 @@ class Derived:
         """Return what a rule derives from the parameters by role."""
         needs = [role for role in sets if role != self.role] if rule.needs is None else rule.needs
         return rule({name: sets[self.of.get(name, name)] for name in needs})
-
-
-#: The mass that follows from the parts; for every powertrain with a body.
-MASS = Derived("body.m", (SumOfParts,))
 
 
 @dataclass(frozen=True)

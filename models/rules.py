@@ -9,7 +9,7 @@ from typing import Any, ClassVar, TypeAlias, cast
 
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.tables import Table
-from halfshaft.library.chassis.wheel import WheelParameters
+from halfshaft.library.chassis.wheel import AxleParameters
 from halfshaft.library.control.series import genset_locus
 from halfshaft.library.driveline.final_drive import FinalDriveParameters
 from halfshaft.library.electric.generator import GeneratorParameters
@@ -43,7 +43,7 @@ class TopSpeed(Rule):
 
     def __call__(self, sets: Sets) -> tuple[float]:
         """Return the ratio of a single-speed gearbox."""
-        motor, wheel = cast(MotorParameters, sets["motor"]), cast(WheelParameters, sets["wheel"])
+        motor, wheel = cast(MotorParameters, sets["motor"]), cast(AxleParameters, sets["wheel"])
         final_drive = cast(FinalDriveParameters, sets["final_drive"])
         return (motor.omega_max * motor.speed_scale / (self.v / wheel.r * (1 + self.slip)) / final_drive.i,)
 

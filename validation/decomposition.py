@@ -19,6 +19,7 @@ from halfshaft.cosim.compiled import Array, Stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.forward import Driver, Forward
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
+from halfshaft.library.base.tags import part_of
 from halfshaft.models.assembly import Step
 from halfshaft.models.vehicle import Vehicle
 
@@ -50,7 +51,7 @@ class Geared:
     def __call__(self, state: Array, request: Array, parameters: Array) -> tuple[Array, Array]:
         """Return next state and outputs of one step in the gear of this sample."""
         state = np.array(state)
-        state[self.step.state_index["shift.gear_before"]] = self.gears[min(self.k, len(self.gears) - 1)]
+        state[self.step.state_index[f"{part_of(self.step.tags.the('gear'))}.gear_before"]] = self.gears[min(self.k, len(self.gears) - 1)]
         self.k += 1
         return self.inner(state, request, parameters)
 
@@ -67,10 +68,11 @@ def fuel_of(car: Vehicle, cycle: Cycle) -> Fuel:
 
     """
     whole, driver = run(car, cycle), Driver()
+    fuel = whole.tags.the("fuel mass")
     fine = cycle.sampled(driver.dt)
     # The gear of the step in which each short step lies.
     at = np.searchsorted(whole.time, fine.t - 1e-6)
-    gears = whole["shift.gear"][np.minimum(at, len(whole.time) - 1)]
+    gears = whole.the("gear")[np.minimum(at, len(whole.time) - 1)]
     forward = Forward(car.model(), car.title)
     parameters = parameters_of(car, forward.stepper.step, fine.v_start)
 
@@ -79,11 +81,11 @@ def fuel_of(car: Vehicle, cycle: Cycle) -> Fuel:
         if gears is not None:
             made.stepper = Geared(made.stepper, gears)  # type: ignore[assignment]
         done = made.run(fine, parameters)
-        return float(done.state[[d.name for d in made.plant.states].index("engine.fuel_used")])
+        return float(done.state[[d.name for d in made.plant.states].index(fuel)])
 
     return Fuel(
-        step=whole.last["engine.fuel_used"],
-        step_short=run(car, cycle, dt=driver.dt, mode="refined").last["engine.fuel_used"],
+        step=whole.last[fuel],
+        step_short=run(car, cycle, dt=driver.dt, mode="refined").last[fuel],
         step_gears=_stepped(stepper_of(car), fine, parameters, gears),
         forward=driven(driver),
         forward_prompt=driven(Driver(t_shift=0.0)),
@@ -95,12 +97,12 @@ def _stepped(stepper: Stepper, samples: Samples, parameters: Array, gears: Array
     """Return the fuel of the hybrid step with given gears [kg]."""
     step: Step = stepper.step
     parameters = parameters.copy()
-    parameters[step.parameter_index["shift.t_hold"]] = NEVER
+    parameters[step.parameter_index[step.tags.the("hold time")]] = NEVER
     geared = Geared(stepper, gears)
     state = geared.first(parameters)
     for k in range(len(samples.t)):
         state, _ = geared(state, np.array([samples.v[k], samples.grade[k], samples.key_on[k], samples.dt[k], 0.0]), parameters)
-    return float(state[step.state_index["engine.fuel_used"]])
+    return float(state[step.state_index[step.tags.the("fuel mass")]])
 
 
 #: Each line: what it is, the experiment, and what it is held against.

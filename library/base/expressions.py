@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
@@ -38,10 +39,10 @@ def clip(x: Any, lowest: Any, highest: Any) -> Any:
 def lifted(efficiency_scale: Any, table: Any, pairs: Callable[[Any, Any], list[tuple[Any, Any]]], one: Any = 1.0) -> Any:
     """Return whether a scale lifts an efficiency above one.
 
-    The table is over speed and torque; `pairs` gives from the work there and its values what comes out and what goes in, and
-    `one` is the ratio of both at an efficiency of one.
+    The table is over power, or over speed and torque; `pairs` gives from the power there and its values what comes out and what
+    goes in, and `one` is the ratio of both at an efficiency of one.
     """
-    if len(table.points) != 2 or (isinstance(efficiency_scale, int | float) and efficiency_scale <= 1):
+    if len(table.points) > 2 or (isinstance(efficiency_scale, int | float) and efficiency_scale <= 1):
         return False
-    both = pairs(np.outer(*table.points), table.values)
+    both = pairs(reduce(np.multiply.outer, table.points), table.values)
     return efficiency_scale * max(float(np.max(out[into > 0] / into[into > 0], initial=0.0)) for out, into in both) > one

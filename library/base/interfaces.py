@@ -34,6 +34,13 @@ class Machine:
 class Rolling:
     """What rolls under a body."""
 
-    def rolling(self, W: Expr) -> tuple[Expr, Expr, Expr]:
-        """Return the rolling resistance [N] under a load [N], as the coefficients of a polynomial in speed: N, N.s/m, N.s^2/m^2."""
+    def rolling(self, W: Expr, front_share: Expr) -> tuple[Expr, Expr, Expr]:
+        """Return the rolling resistance [N] of a vehicle of this weight [N], of which the front axle carries a share.
+
+        It is given as the coefficients of a polynomial in speed: N, N.s/m, N.s^2/m^2.
+        """
+        raise NotImplementedError
+
+    def bearing(self, m: Expr) -> Expr:
+        """Return what bearings and released brakes of a vehicle of this mass [kg] take at the road [N]."""
         raise NotImplementedError

@@ -206,7 +206,7 @@ class TwoSided(Component):
             delivered, books = homeward(x["_way"], x[source.name], x["dt"])
             return {load.name: delivered, **{name: getattr(books, name.removeprefix("P_")) for name in booked}}
 
-        memory = tuple(f"next_{s.name}" for s in self.states)
+        memory = tuple(f"next_{s.name}" for s in self.states if f"next_{s.name}" not in declared)
         yield Face("required", (load.name, *takes), optional, (source.name, "_way", *names, *memory), required)
         yield Face("available", (source.name, "_way", "dt"), {}, (load.name, *booked), available)
         yield from super().faces()

@@ -12,6 +12,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -152,7 +153,7 @@ class Parameters:
     @property
     def weight(self) -> float:
         """Mass of the part [kg]: that of its figures times its factors on size; 0 for what is weighed with the vehicle."""
-        size = math.prod(float(getattr(self, name, 1.0)) for name in ("torque_scale", "speed_scale"))
+        size = math.prod(float(getattr(self, name, 1.0)) for name in ("torque_scale", "speed_scale", "power_scale"))
         return float(getattr(self, "mass", 0.0)) * size
 
     def rescaled(self, typed: Mapping[str, float]) -> Parameters:
@@ -205,10 +206,13 @@ def numbers(p: Parameters) -> Iterator[tuple[str, Spec, float]]:
 
 
 def tables(p: Parameters) -> Iterator[tuple[str, Table]]:
-    """Yield name and value of every table."""
+    """Yield name and value of every table, also of those that follow from others: the cached properties of a set."""
     for f in fields(p):
         if spec_of(f).axes:
             yield f.name, getattr(p, f.name)
+    for name, followed in vars(type(p)).items():
+        if isinstance(followed, cached_property):
+            yield name, getattr(p, name)
 
 
 def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> Parameters:
@@ -222,6 +226,7 @@ def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> P
             values[f.name] = tuple(symbols[f"{f.name}_{i}"] for i in range(1, len(getattr(p, f.name)) + 1))
         else:
             values[f.name] = symbols[f.name]
+    values |= {name: functions[name] for name, _ in tables(p) if name not in values}
     bound = object.__new__(type(p))
     for name, value in values.items():
         object.__setattr__(bound, name, value)

@@ -54,13 +54,10 @@ class Resistance(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BodyParameters(Parameters):
-    """Mass, shape and geometry of the vehicle."""
+class MassParameters(Parameters):
+    """Mass and geometry of the vehicle."""
 
     m: float = param("kg", "test mass", ge=10, le=1e6, tag="vehicle mass")
-    c_d: float = param("1", "drag coefficient", ge=0, le=10)
-    A: float = param("m^2", "frontal area", ge=0, le=100)
-    rho: float = param("kg/m^3", "air density", 1.2, ge=0, le=10)
     g: float = param("m/s^2", "gravity", 9.81, ge=0.1, le=100, tag="gravity")
     front_share: float = param("1", "share of the weight on the front axle at rest", 0.6, ge=0, le=1)
     h: float = param("m", "height of the centre of gravity", 0.5, ge=0, le=10)
@@ -77,11 +74,10 @@ class BodyParameters(Parameters):
 
 @dataclass(frozen=True)
 class Body(Component):
-    """The vehicle as a mass on the road; speeds are never negative."""
+    """The vehicle as a mass on the road; speeds are never negative.  A subclass gives its resistance."""
 
-    kind = "body"
-    p: BodyParameters
-    parameters = BodyParameters
+    family = "body"
+    p: MassParameters
     tyre = Port(Tyre, "source")
     states = (
         State("v", "m/s", "speed of the vehicle", signal=True, shown=True, tag="speed"),
@@ -123,9 +119,8 @@ class Body(Component):
         return p.front_share * W - transfer, (1 - p.front_share) * W + transfer
 
     def resistance(self, grade: Expr, wheel: Rolling) -> Resistance:
-        """Return equation (2)."""
-        W = self.weight(grade)
-        return Resistance(*wheel.rolling(W), W * grade, 0.5 * self.p.rho * self.p.c_d * self.p.A)
+        """Return what opposes the motion on a slope."""
+        raise NotImplementedError
 
     @face("tyre", "v_request", "a_request", "F_required", "_asked", "_resistance")
     def required(self, v_request: Expr, v: Expr, grade: Expr, dt: Expr, wheel: Rolling, turning: Turning) -> Mapping[str, Any]:
@@ -205,3 +200,26 @@ class Body(Component):
             **drag.powers(v, moving, size),
             "P_kinetic": self.p.m * a * v,
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyParameters(MassParameters):
+    """Mass, shape and geometry of the vehicle."""
+
+    c_d: float = param("1", "drag coefficient", ge=0, le=10)
+    A: float = param("m^2", "frontal area", ge=0, le=100)
+    rho: float = param("kg/m^3", "air density", 1.2, ge=0, le=10)
+
+
+@dataclass(frozen=True)
+class ShapedBody(Body):
+    """The vehicle by its shape."""
+
+    kind = "body"
+    p: BodyParameters
+    parameters = BodyParameters
+
+    def resistance(self, grade: Expr, wheel: Rolling) -> Resistance:
+        """Return equation (2)."""
+        W = self.weight(grade)
+        return Resistance(*wheel.rolling(W, self.p.front_share), W * grade, 0.5 * self.p.rho * self.p.c_d * self.p.A)

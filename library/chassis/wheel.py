@@ -40,13 +40,11 @@ V_BRAKE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelParameters(Parameters):
+class AxleParameters(Parameters):
     """All wheels, axles and brakes of the vehicle together."""
 
     r: float = param("m", "rolling radius", ge=0.05, le=10)
     J: float = param("kg.m^2", "inertia of all wheels and axles", ge=0, le=1e4)
-    f_0: float = param("1", "rolling resistance, constant part", ge=0, le=1)
-    f_1: float = param("s/m", "rolling resistance, part that grows with speed", 0.0, ge=0, le=0.1)
     mu_max: float = param("1", "largest force over weight", ge=0.01, le=2)
     front_driven: float = param("1", "1 if the front axle is driven", 1.0, ge=0, le=1)
     rear_driven: float = param("1", "1 if the rear axle is driven", 0.0, ge=0, le=1)
@@ -85,11 +83,10 @@ class Split(NamedTuple):
 
 @dataclass(frozen=True)
 class Wheel(Component, Rolling):
-    """Wheels, axles, tyres and brakes between the road and the final drive."""
+    """Wheels, axles, tyres and brakes between the road and the final drive; a subclass gives their rolling resistance."""
 
-    kind = "wheel"
-    p: WheelParameters
-    parameters = WheelParameters
+    family = "wheel"
+    p: AxleParameters
     tyre = Port(Tyre, "wheel")
     axle = Port(Shaft, "source")
     states = (State("v_before", "m/s", "required mean speed of the previous step"),)
@@ -114,6 +111,11 @@ class Wheel(Component, Rolling):
     signals = (
         Signal("tau_grip_out", "N.m", "what the driven axle may drive more before its tyres slip"),
         Signal("tau_grip_in", "N.m", "what it may brake more"),
+        Signal("share_front", "1", "share of the load of the driven axles that the front one bears"),
+        Signal("tau_front_out", "N.m", "what the driveline may drive the front axle before its tyres slip"),
+        Signal("tau_front_in", "N.m", "what it may brake it"),
+        Signal("tau_rear_out", "N.m", "what it may drive the rear axle"),
+        Signal("tau_rear_in", "N.m", "what it may brake it"),
     )
     reads = (From("body", Body), From("body", v="m/s"))
 
@@ -121,9 +123,9 @@ class Wheel(Component, Rolling):
         """Return the start values: rolling without slip."""
         return {"v_before": v}
 
-    def rolling(self, W: Expr) -> tuple[Expr, Expr, Expr]:
-        """Return the rolling resistance by speed [N]."""
-        return W * self.p.f_0, W * self.p.f_1, 0
+    def bearing(self, m: Expr) -> Expr:
+        """Return the drag of bearings and released brakes at the road [N]."""
+        return self.p.tau_bearing(m) / self.p.r
 
     def grip(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: Body) -> Grip:
         """Return the request cut to what the driven axle can transmit (paper eq. 2, 3)."""
@@ -169,7 +171,7 @@ class Wheel(Component, Rolling):
 
     @face(
         "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
-        "next_v_before", "_asked", "_grip", "_split", "_way",
+        "next_v_before", "_asked", "_grip", "_split", "_way", "share_front",
     )  # fmt: skip
     def required(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: Body, v_before: Expr, turning: Turning) -> Mapping[str, Any]:
         """Return the axle point that the request needs, equations (1) and (2)."""
@@ -192,6 +194,7 @@ class Wheel(Component, Rolling):
             "_grip": grip,
             "_split": split,
             "_way": way,
+            "share_front": self.p.front_driven * grip.W_front / grip.W_driven,
         }
 
     @face(
@@ -262,7 +265,10 @@ class Wheel(Component, Rolling):
         front = ca.fmax(ca.fmin(share * F, F + room_rear), -room_front)
         return front, ca.fmax(F - front, -room_rear)
 
-    @plant("axle", "P_brake", "P_slip", "P_bearing", "P_kinetic", "tau_grip_out", "tau_grip_in")
+    @plant(
+        "axle", "P_brake", "P_slip", "P_bearing", "P_kinetic", "tau_grip_out", "tau_grip_in",
+        "tau_front_out", "tau_front_in", "tau_rear_out", "tau_rear_in",
+    )  # fmt: skip
     def flow(self, tyre: Tyre, F_brake_front: Expr, F_brake_rear: Expr, grade: Expr, body: Body, turning: Turning) -> Mapping[str, Any]:
         """Return the axle point in continuous time, and how far the driven axle is from its grip.
 
@@ -290,4 +296,66 @@ class Wheel(Component, Rolling):
             "P_kinetic": books.kinetic,
             "tau_grip_out": p.r * (p.mu_max * W_driven - F_driven),
             "tau_grip_in": p.r * (p.mu_max * W_driven + F_driven),
+            # Of each axle beside its brake; of bearings and inertia each bears half.
+            "tau_front_out": p.r * (p.mu_max * loads[0] - front) + (axle.tau - point.tau) / 2,
+            "tau_front_in": p.r * (p.mu_max * loads[0] + front) - (axle.tau - point.tau) / 2,
+            "tau_rear_out": p.r * (p.mu_max * loads[1] - rear) + (axle.tau - point.tau) / 2,
+            "tau_rear_in": p.r * (p.mu_max * loads[1] + rear) - (axle.tau - point.tau) / 2,
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelParameters(AxleParameters):
+    """Wheels whose rolling resistance is a share of the weight."""
+
+    f_0: float = param("1", "rolling resistance, constant part", ge=0, le=1)
+    f_1: float = param("s/m", "rolling resistance, part that grows with speed", 0.0, ge=0, le=0.1)
+
+
+@dataclass(frozen=True)
+class PlainWheel(Wheel):
+    """Wheels whose rolling resistance is a share of the weight."""
+
+    kind = "wheel"
+    p: WheelParameters
+    parameters = WheelParameters
+
+    def rolling(self, W: Expr, front_share: Expr) -> tuple[Expr, Expr, Expr]:
+        """Return the rolling resistance by speed [N]."""
+        return W * self.p.f_0, W * self.p.f_1, 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class J2452WheelParameters(AxleParameters):
+    """Wheels whose rolling resistance was measured after SAE J2452; the regression is in kPa, N and km/h."""
+
+    pressure: float = param("Pa", "pressure of the tyres", ge=1e4, le=2e6)
+    alpha: float = param("1", "exponent of the pressure", ge=-3, le=1)
+    beta: float = param("1", "exponent of the load", ge=0.1, le=3)
+    a: float = param("1", "constant coefficient", ge=0, le=100)
+    b: float = param("1", "coefficient of the speed", 0.0, ge=-1, le=1)
+    c: float = param("1", "coefficient of its square", 0.0, ge=-0.1, le=0.1)
+    r_drum: float = param("m", "radius of the drum of the test", ge=0.1, le=1e6)
+
+
+@dataclass(frozen=True)
+class J2452Wheel(Wheel):
+    """Wheels whose rolling resistance is that of SAE J2452, by pressure, load of each tyre and speed.
+
+    ::
+
+        F = p^alpha [2 (W_front / 2)^beta + 2 (W_rear / 2)^beta] (a + b v + c v^2) sqrt(r_drum / (r_drum + r))
+
+    with the loads at rest; the root takes the bend of the drum back, on which a tyre is pressed in further than on a road.
+    """
+
+    kind = "wheel-j2452"
+    p: J2452WheelParameters
+    parameters = J2452WheelParameters
+
+    def rolling(self, W: Expr, front_share: Expr) -> tuple[Expr, Expr, Expr]:
+        """Return the rolling resistance by speed [N]."""
+        p = self.p
+        loads = 2 * (front_share * W / 2) ** p.beta + 2 * ((1 - front_share) * W / 2) ** p.beta
+        F = (p.pressure / 1000) ** p.alpha * loads * ca.sqrt(p.r_drum / (p.r_drum + p.r))
+        return F * p.a, F * p.b * 3.6, F * p.c * 3.6**2

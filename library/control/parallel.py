@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -63,7 +63,9 @@ class ParallelControlParameters(Parameters):
     idle_at_stop: float = param("1", "1 if the engine idles at stops, 0 if it is switched off", 0.0, ge=0, le=1)
     open_when_braking: float = param("1", "1 if the clutch opens whenever no torque is asked for", 1.0, ge=0, le=1)
 
-    relations = (Relation(lambda p: p.soc_low >= p.soc_high, "soc_low = {soc_low:g} must be below soc_high = {soc_high:g}"),)
+    relations: ClassVar[tuple[Relation, ...]] = (
+        Relation(lambda p: p.soc_low >= p.soc_high, "soc_low = {soc_low:g} must be below soc_high = {soc_high:g}"),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +173,8 @@ class _ParallelControl(Component):
         share = ca.fmin((soc_before - p.soc_low) / (p.soc_high - p.soc_low), 1)
         fast = v_limited >= p.v_launch_low + share * (p.v_launch_high - p.v_launch_low)
         fast = ca.logic_or(fast, ca.logic_and(soc_before < p.soc_low, ca.logic_not(p.charge_depleting)))
-        wanted = ca.logic_and(ca.logic_and(ca.logic_or(turning, p.idle_at_stop), fast), self.worth_it(tau_clutch, omega_clutch, soc_before, engine))
+        runs = ca.logic_and(ca.logic_or(turning, p.idle_at_stop), fast)
+        wanted = ca.logic_and(runs, self.worth_it(tau_clutch, omega_clutch, soc_before, engine))
         mean = (P_before + P_before_2 + P_before_3) / ca.fmax(steps_before, 1)
         wanted = ca.logic_or(ca.logic_or(wanted, ca.logic_and(shifting, on_before)), mean >= P_battery_max)
         on = where(decided, on_before, ca.logic_and(key_on, wanted))

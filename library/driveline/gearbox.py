@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -97,7 +97,7 @@ class _Gearbox(TwoSided):
         Signal("omega_gearbox", "rad/s", "required output speed"),
         Signal("omega_gearbox_input", "rad/s", "offered input speed"),
     )
-    reads = (From("shift", ratio="1", gear="1"), From("shift", optional=True, shifting="1"))
+    reads: ClassVar[tuple[From, ...]] = (From("shift", ratio="1", gear="1"), From("shift", optional=True, shifting="1"))
 
     @face("ratios")
     def law(self) -> Mapping[str, Any]:

@@ -56,7 +56,9 @@ class MotorParameters(Parameters):
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
-    relations = (Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),)
+    relations: ClassVar[tuple[Relation, ...]] = (
+        Relation(lambda p: lifted(p.efficiency_scale, p.P_electric, lambda work, P: [(work, P), (-P, -work)]), LIFTED),
+    )
 
     rated: ClassVar[tuple[Rated, ...]] = (
         Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.ratings()["traction power"]),
@@ -101,23 +103,27 @@ class Motor(TwoSided, Machine):
     """Motor and controller between the gearbox's shaft and the supply."""
 
     kind = "motor"
+    family = "motor"
     p: MotorParameters
     parameters = MotorParameters
     shaft = Port(Shaft, "wheel", tags={"omega": "machine speed"})
     dc = Port(Electric, "source", tags={"P": "traction input"})
-    states = (State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),
+    )
     variables = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
         Variable("throttle_motor", "1", "that torque over the envelope, negative while braking", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
     )
     signals = (Signal("U_min", "V", "lowest supply voltage"),)
-    reads = (
+    reads: ClassVar[tuple[From, ...]] = (
         From("body", trace_missed="1", speed_ratio="1"),
         From("battery", U_supply="V"),
         From("shift", optional=True, shifting="1"),
         From("battery", U="V", P_room_out="W", P_room_in="W"),
         From("wheel", optional=True, tau_grip_out="N.m", tau_grip_in="N.m"),
+        From("node", optional=True, along=("dc",), forgiven="1"),
     )
     estimates = True
 
@@ -221,7 +227,7 @@ class Motor(TwoSided, Machine):
     @plant("balance")
     def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
-        tau_grip_out: Expr = ca.inf, tau_grip_in: Expr = ca.inf,
+        tau_grip_out: Expr = ca.inf, tau_grip_in: Expr = ca.inf, forgiven: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 
@@ -234,6 +240,8 @@ class Motor(TwoSided, Machine):
         scale = ca.fmax(ca.fabs(_omega), 10)
         P_max = self.p.I_max * U
         # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
-        more = ca.fmax(ca.fmin(ca.fmin(P_room_out, P_max - _P) / scale, tau_grip_out), -_tau)
-        less = ca.fmin(-ca.fmin(ca.fmin(P_room_in, P_max + _P) / scale, tau_grip_in), -_tau)
+        # Where several machines meet the limit of one store, all balances would be the same; each forgives it a share of what it lacks.
+        out, into = P_room_out + forgiven * scale * (tau - _tau), P_room_in + forgiven * scale * (_tau - tau)
+        more = ca.fmax(ca.fmin(ca.fmin(out, P_max - _P) / scale, tau_grip_out), -_tau)
+        less = ca.fmin(-ca.fmin(ca.fmin(into, P_max + _P) / scale, tau_grip_in), -_tau)
         return {"balance": ca.fmax(ca.fmin(tau - _tau, more), less)}

@@ -208,7 +208,7 @@ class Engine(Component, Machine):
     )  # fmt: skip
     def torque(
         self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
-        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
+        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr | None = None,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equations (1) to (3)."""
         omega, closed, open_throttle = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
@@ -216,8 +216,9 @@ class Engine(Component, Machine):
         highest = where(engine_on, open_throttle, 0)
         J_dt, change = self.p.J * (1 / dt), omega - omega_own
         # A genset turns its generator's rotor too: with that alone while it only spins, with no less than that while it gives.
-        rotor = J_shaft * (1 / dt) * change
-        asked = where(geared, shaft.tau, where(clutch_open, shaft.tau + rotor, ca.fmax(shaft.tau, rotor)))
+        rotor = 0 if J_shaft is None else J_shaft * (1 / dt) * change
+        driven = shaft.tau if J_shaft is None else ca.fmax(shaft.tau, rotor)
+        asked = where(geared, shaft.tau, where(clutch_open, shaft.tau + rotor, driven))
         # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
         gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
         J_alpha = J_dt * where(geared, gain, change)

@@ -1,7 +1,8 @@
 """Conventional car: engine, clutch and gearbox."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import MASS, Powertrain
+from halfshaft.models.powertrain import Derived, Powertrain
+from halfshaft.models.rules import SumOfParts
 
 ROLES = {
     "body": ("body",),
@@ -21,4 +22,4 @@ def connect(m: Model) -> None:
     m.chain("body", "wheel", "final_drive", "gearbox", "clutch", "accessories", "engine")
 
 
-conventional = Powertrain("conventional", "conventional car", ROLES, connect, (MASS,))
+conventional = Powertrain("conventional", "conventional car", ROLES, connect, (Derived("body.m", (SumOfParts,)),))

@@ -1,8 +1,8 @@
 """Battery electric car: one motor on one axle."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import MASS, Derived, Powertrain
-from halfshaft.models.rules import TopSpeed
+from halfshaft.models.powertrain import Derived, Powertrain
+from halfshaft.models.rules import SumOfParts, TopSpeed
 
 ROLES = {
     "body": ("body",),
@@ -22,4 +22,6 @@ def connect(m: Model) -> None:
     m.chain("body", "wheel", "final_drive", "gearbox", "motor", "accessories", "bus.battery", "battery")
 
 
-electric = Powertrain("electric", "battery electric car", ROLES, connect, (MASS, Derived("gearbox.ratios", (TopSpeed,))))
+electric = Powertrain(
+    "electric", "battery electric car", ROLES, connect, (Derived("body.m", (SumOfParts,)), Derived("gearbox.ratios", (TopSpeed,)))
+)  # fmt: skip

@@ -9,6 +9,7 @@ import pytest
 
 from halfshaft import Cycle, InputError, Result, Vehicle, run
 from halfshaft.cosim.facts import facts
+from halfshaft.cosim.origin import Ratings
 from halfshaft.cosim.remarks import remarks
 
 WH = 3600
@@ -286,6 +287,81 @@ def test_a_file_of_version_0_1_is_read_without_an_origin(tmp_path):
     assert old.summary == {name: None if name in unknown else x for name, x in result.summary.items()}
     assert repr(old) == repr(result)
     assert Result.load(old.save(tmp_path / "again.nc")).summary == old.summary
+
+
+def as_in_format_2(plain):
+    plain["format"] = 2
+    plain["outputs"] = [d[:10] for d in plain["outputs"]]
+    del plain["inputs"]["tags"], plain["origin"]["ratings"]["energies_J"]
+
+
+@pytest.mark.parametrize("name", [ELECTRIC, SERIES, CONVENTIONAL])
+def test_a_file_without_tags_is_given_them(name, tmp_path):
+    result = done(name)
+    old = Result.load(rewritten(result, tmp_path / "old.nc", as_in_format_2))
+    assert old.tags == result.tags
+    assert old.outputs == result.outputs
+    assert old.summary == result.summary
+    assert repr(old) == repr(result)
+
+
+def beside(result, twins, **ratings):
+    """Return a run in which outputs are there once more, under the names and times the factors that are given."""
+    names, factor = [d.name for d in result.outputs], dict(twins.values())
+    kept = {name: new for name, (new, _) in twins.items() if name in names}
+    outputs = (*result.outputs, *(result.outputs[names.index(name)]._replace(name=new) for name, new in kept.items()))
+
+    def more(values):
+        return {**values, **{new: factor[new] * values[name] for name, new in kept.items() if name in values}}
+
+    p, tags = dict(result.inputs.parameters), dict(result.inputs.tags)
+    for name, (new, by) in twins.items():
+        if name in p:
+            p[new], tags[new] = by * p[name], tags[name]
+    known = replace(result.origin, ratings=Ratings(**ratings))
+    rows = np.column_stack([result.history, *(factor[new] * result[name] for name, new in kept.items())])
+    return replace(
+        result, inputs=replace(result.inputs, parameters=p, tags=tags), outputs=outputs, history=rows,
+        energies=more(result.energies), highest=more(result.highest), first=more(result.first), last=more(result.last), made=known,
+    )  # fmt: skip
+
+
+def test_of_several_batteries_and_motors_energies_add_and_charge_is_weighted():
+    one = done(ELECTRIC)
+    twins = {"battery.soc": ("pack.soc", 0.5), "motor.P_in": ("rear.P_in", 0.25)}
+    two = beside(one, twins, pack_energy_J=4e7, motor_power_max_W=1e5, energies_J={"battery": 3e7, "pack": 1e7})
+    assert two.summary["motor_input_J"] == pytest.approx(1.25 * one.summary["motor_input_J"])
+    for name in ("soc_start", "soc_end"):
+        assert two.summary[name] == pytest.approx((0.75 + 0.25 * 0.5) * one.summary[name])
+    assert two.summary["pack_energy_J"] == 4e7
+    # Of files that do not say how large the packs are, all count alike.
+    assert beside(one, twins).summary["soc_end"] == pytest.approx(0.75 * one.summary["soc_end"])
+
+
+def test_an_engine_and_a_fuel_cell_burn_and_generate_together():
+    one = done(SERIES, "hwfet")
+    twins = {
+        "engine.fuel_used": ("cell.fuel_used", 0.5), "engine.P_fuel": ("cell.P_fuel", 0.75), "generator.P_out": ("cell.P_out", 0.8),
+        "engine.rho_fuel": ("cell.rho", 0.1), "engine.H_fuel": ("cell.H", 1.5),
+    }  # fmt: skip
+    two = beside(one, twins)
+    s, t = one.summary, two.summary
+    assert t["fuel_L"] == pytest.approx((1 + 0.5 / 0.1) * s["fuel_L"])
+    assert t["fuel_equivalent_efficiency"] == pytest.approx(1.8 / 1.75 * s["fuel_equivalent_efficiency"])
+    burnt = two.energies["engine.P_fuel"] + two.energies["cell.P_fuel"]
+    litres = t["fuel_L"] * (1 + t["energy_from_battery_J"] / t["fuel_equivalent_efficiency"] / burnt)
+    assert t["fuel_equivalent_L"] == pytest.approx(litres)
+    none = dict.fromkeys(two.energies, 0.0)
+    idle = replace(two, energies=none, last=two.last | {"engine.fuel_used": 0.0, "cell.fuel_used": 0.0})
+    assert "no fuel used: the engine and the cell never ran" in idle.warnings
+
+
+def test_two_parts_that_warn_of_the_same_are_told_apart():
+    one = done(ELECTRIC, soc=0.03)
+    both = beside(one, {f"battery.{x}": (f"pack_2.{x}", 1.0) for x in ("soc", "P_out", "battery_limited")})
+    (text,) = (text for text in one.warnings if text.startswith("battery limit reached, empty"))
+    assert {f"battery: {text}", f"pack 2: {text}"} <= set(both.warnings)
+    assert text not in both.warnings
 
 
 def test_a_file_of_a_later_version_is_refused(tmp_path):

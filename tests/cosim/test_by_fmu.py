@@ -9,7 +9,9 @@ from halfshaft.cosim.simulate import parameters_of, run, stepper_of
 from halfshaft.library.base.errors import CompileError, InputError, SolveError
 from halfshaft.models.vehicle import Vehicle
 
-CARS = ("small-car-electric", "small-car-series", "small-car-conventional")
+CARS = (
+    "small-car-electric", "small-car-series", "small-car-conventional", "small-car-fuel-cell", "small-car-fuel-cell-polarisation"
+)  # fmt: skip
 # Compiler, flags and arithmetic are the same, so the results are; the bound leaves room for other compilers.
 TOLERANCE = {"rtol": 1e-12, "atol": 1e-12}
 

@@ -7,7 +7,7 @@ import pytest
 
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
-from halfshaft.library.electric.battery import SOC_FULL
+from halfshaft.library.electric.store import SOC_FULL
 from halfshaft.models.vehicle import Vehicle
 
 vehicle_of, cycle_of = cache(Vehicle.load), cache(Cycle.load)

@@ -188,8 +188,10 @@ def test_a_pack_under_constant_power_empties_in_a_straight_line(P):
 
 def test_a_pack_stores_the_coulombic_share_of_what_it_is_charged_with():
     battery, U_min = pack(), (CAR.components()["motor"].p.U_min,)
-    limits = battery.limits_at(0.5, 293.15, U_min)
-    given = {n: float(x) for n, x in battery.available(Electric(-10e3), limits, 0.5, 5e5, 293.15, 1.0).items() if n != "dc"}
+    source = battery.source(5e5, 293.15)
+    given = battery.available(Electric(-10e3), battery.limits_at(source, U_min), source)
+    given |= battery.store(source, given["U"], given["I"], 5e5, 293.15, 1.0)
+    given = {n: float(x) for n, x in given.items() if n != "dc"}
     current = (400 - np.sqrt(400**2 + 4 * 0.1 * 10e3)) / 0.2
     assert given["I"] == pytest.approx(current, rel=1e-12)
     assert given["next_charge_drawn"] - 5e5 == pytest.approx(0.9 * current, rel=1e-9)

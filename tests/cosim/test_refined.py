@@ -99,3 +99,11 @@ def test_a_grade_over_distance_is_read_where_the_car_is():
     compiled, samples = stepper_of(vehicle_of(ELECTRIC)), cycle.sampled(1.0)
     alone = InterpretedStep(compiled.step).march(samples, parameters_of(vehicle_of(ELECTRIC), compiled.step))
     np.testing.assert_allclose(alone.history, result.history, rtol=1e-12, atol=1e-9)
+
+
+def test_a_step_after_a_solved_one_estimates_no_speed():
+    hybrid, refined = (run(vehicle_of(ELECTRIC), acceleration_cycle(), dt=0.1, mode=mode) for mode in ("hybrid", "refined"))
+    assert refined["body.trace_miss"].max() > 10
+    # Equation (10) takes the map at another speed than the shaft's after a miss; a solved step has reached what it asked for.
+    assert np.abs(hybrid["motor.P_mismatch"]).max() > 100
+    assert np.abs(refined["motor.P_mismatch"]).max() < 1e-6

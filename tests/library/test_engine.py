@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+from faces import in_turn
 
-from halfshaft.library.base.component import arguments
 from halfshaft.library.base.ports import Shaft
 from halfshaft.library.files.component_file import read_component
 
@@ -11,13 +11,6 @@ def engine(name="si-41kw", **values):
     return file.component(file.build(**values))
 
 
-def run(part, *faces, **known):
-    """Return what faces give, one after the other, of what is known."""
-    for face in (getattr(part, name) for name in faces):
-        known |= face(**{n: known[n] for n in arguments(face)[0] if n in known})
-    return known
-
-
 GEARED = {"geared": 1.0, "clutch_open": 0.0, "engine_on": 1.0}
 
 
@@ -25,7 +18,7 @@ def geared(part, tau, omega, *, dt=1.0, own=None, v=10.0, v_limited=10.0, **sign
     """Return what a face gives for an engine behind an engaged clutch."""
     own = omega if own is None else own
     known = {**GEARED, "omega_engine": omega, "omega_command": omega, "fuel_used": 0.0, **signals}
-    return run(part, "torque", "burn", shaft=Shaft(tau, omega, 0.0), omega_own=own, dt=dt, v=v, v_limited=v_limited, **known)
+    return in_turn(part, "torque", "burn", shaft=Shaft(tau, omega, 0.0), omega_own=own, dt=dt, v=v, v_limited=v_limited, **known)
 
 
 def number(x):
@@ -84,19 +77,19 @@ def test_after_a_missed_trace_the_engine_turns_as_it_was_reached_in_the_gear_of_
     part = engine()
     missed = {"trace_missed": 1.0, "speed_ratio": 0.9, "command_before": 400.0, "omega_own": 380.0, "omega_free": 0.0, "dt": 1.0}
     known = {**missed, "omega_command": 500.0, "engine_on": 1.0, "omega_idle": 80.0, "clutch_open": 0.0, "geared": 1.0}
-    assert number(run(part, "spin", "speed", **known, ratio=5.0, ratio_before=5.0)["omega_engine"]) == pytest.approx(360.0)
-    assert number(run(part, "spin", "speed", **known, ratio=5.0, ratio_before=8.0)["omega_engine"]) == pytest.approx(225.0)
+    assert number(in_turn(part, "spin", "speed", **known, ratio=5.0, ratio_before=5.0)["omega_engine"]) == pytest.approx(360.0)
+    assert number(in_turn(part, "spin", "speed", **known, ratio=5.0, ratio_before=8.0)["omega_engine"]) == pytest.approx(225.0)
     # A slipping clutch does not tie it to the wheels.
-    assert number(run(part, "spin", "speed", **known, ratio=5.0, ratio_before=8.0, clutch_slipping=1.0)["omega_engine"]) == 500.0
+    assert number(in_turn(part, "spin", "speed", **known, ratio=5.0, ratio_before=8.0, clutch_slipping=1.0)["omega_engine"]) == 500.0
 
 
 def test_a_genset_speeds_up_no_faster_than_with_all_its_torque():
     part = engine(J=0.8)
     known = {"omega_command": 400.0, "engine_on": 1.0, "omega_idle": 0.0, "clutch_open": 0.0, "omega_free": 0.0, "command_before": 400.0}
     known |= {"trace_missed": 0.0, "speed_ratio": 1.0, "ratio_before": 1.0, "J_shaft": 0.01}
-    omega = number(run(part, "spin", "speed", **known, dt=0.1, omega_own=200.0)["omega_engine"])
+    omega = number(in_turn(part, "spin", "speed", **known, dt=0.1, omega_own=200.0)["omega_engine"])
     assert omega == pytest.approx(200.0 + 0.1 * number(part.tau_max(200.0)) / 0.81)
-    assert number(run(part, "spin", "speed", **known, dt=100.0, omega_own=200.0)["omega_engine"]) == 400.0
+    assert number(in_turn(part, "spin", "speed", **known, dt=100.0, omega_own=200.0)["omega_engine"]) == 400.0
 
 
 def test_the_plant_gives_no_torque_above_the_top_speed():

@@ -4,6 +4,7 @@ A case is one component with numbers and the signals of one situation.  `x` is w
 there are any), `share` the part of the source's offer that comes back; all else are expressions of these.
 """
 
+import inspect
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -14,7 +15,10 @@ import pytest
 from halfshaft.library.base.links import TwoSided, continuous
 from halfshaft.library.base.ports import Electric, Shaft, Tyre
 from halfshaft.library.driveline.clutch import Clutch
+from halfshaft.library.electric.battery import Battery
 from halfshaft.library.electric.motor import OMEGA_OFF
+from halfshaft.library.electric.store import SOC_EMPTY
+from halfshaft.library.electric.ultracapacitor import Ultracapacitor
 from halfshaft.library.files.catalog import component_kinds
 from halfshaft.library.files.component_file import component_names, read_component
 from halfshaft.models.assembly import StepDirection, step_turning
@@ -267,18 +271,35 @@ def junction_case(part, x, load, offering, signals, inside, edges):
     )  # fmt: skip
 
 
-def battery_case(name, seed, **values):
+def filled(part, soc, T):
+    """Return the states of a store that hold a charge, at rest."""
+    if isinstance(part, Battery):
+        return {"charge_drawn": (1 - soc) * part.capacity(T)}
+    if isinstance(part, Ultracapacitor):
+        return {"v": ca.fmax(soc, SOC_EMPTY) * part.p.u_max}
+    return dict.fromkeys(("v_bulk", "v_surface"), part.p.u_oc(T, soc))
+
+
+def store_case(name, seed, **values):
     part, U_min = component(name, **values), (component("pm-32kw").p.U_min,)
     x = ca.SX.sym("x", 3)  # power, state of charge, temperature
     P, soc, T = ca.vertsplit(x)
-    drawn = (1 - soc) * part.capacity(T)
-    given = part.available(Electric(P), part.limits_at(soc, T, U_min), soc, drawn, T, DT)
-    flow = part.flow(Electric(P), drawn, T, U_min)
-    ends = ca.vertcat(given["I"], given["U"], (given["next_charge_drawn"] - drawn) / DT, (given["next_T"] - T) / DT)
-    rates = ca.vertcat(flow["I"], flow["U"], flow["der_charge_drawn"], flow["der_T"])
+    states = {**filled(part, soc, T), "T": T}
+
+    def called(method, **known):
+        known |= {"dc": Electric(P), "U_min": U_min, "dt": DT, **states}
+        return method(**{n: known[n] for n in inspect.signature(method).parameters})
+
+    source = part.source(**states)
+    limits = part.limits_at(source, U_min)
+    given = called(part.available, _limits=limits, _source=source)
+    given |= called(part.store, _source=source, U=given["U"], I=given["I"])
+    flow = called(part.flow, _source=source)
+    flow |= called(part.drain, _source=source, _U=flow["_U"], I=flow["I"])
+    ends = ca.vertcat(given["I"], given["U"], *((given[f"next_{n}"] - x) / DT for n, x in states.items()))
+    rates = ca.vertcat(flow["I"], flow["U"], *(flow[f"der_{n}"] for n in states))
     rng = random(seed)
     soc_T = np.column_stack([rng.uniform(0.01, 0.99, N), rng.uniform(263, 323, N)])
-    limits = part.limits_at(soc, T, U_min)
     lowest, highest = ca.Function("limits", [soc, T], [limits.P_min, limits.P_max])(soc_T[:, :1].T, soc_T[:, 1:].T)
     lowest, highest = lowest.full().ravel(), highest.full().ravel()
     power = lowest + (highest - lowest) * rng.uniform(0.001, 0.999, N)
@@ -287,7 +308,8 @@ def battery_case(name, seed, **values):
     edges = np.vstack([*at_limits, [[1e3, 0.0, 293.15], [-1e3, 1.0, 293.15], [0, 0.5, 293.15]]])
     inside = np.column_stack([power, soc_T])
     P_loss, P_in, P_out = ca.SX(given["P_loss"]), given["P_stored"], given["dc"].P
-    return Case(x, (P,), (ends,), (P_out,), (rates,), (rates,), P_loss, P_in, P_out, ca.SX(0), inside, edges)
+    stored = ca.SX(given.get("P_discretisation", 0))
+    return Case(x, (P,), (ends,), (P_out,), (rates,), (rates,), P_loss, P_in, P_out, stored, inside, edges)
 
 
 SCALED_MOTOR = {"speed_scale": 0.8, "torque_scale": 1.3, "efficiency_scale": 0.95}
@@ -296,7 +318,7 @@ SCALED_MOTOR = {"speed_scale": 0.8, "torque_scale": 1.3, "efficiency_scale": 0.9
 def two_sided_cases(kind):
     """Yield cases of all components of a two-sided kind, by name."""
     for seed, name in enumerate(component_names(kind)):
-        if kind == "motor":
+        if kind in ("motor", "motor-thermal"):
             yield name, lambda n=name, s=seed: motor_case(component(n), s)
         elif kind.startswith("gearbox"):
             for gear in {1, len(component(name).p.ratios)}:
@@ -333,11 +355,15 @@ CASES |= {
     "rear-wheels": lambda: wheel_case("small-car-wheels", "small-car", 25, front_driven=0.0, rear_driven=1.0),
     "all-wheels": lambda: wheel_case("small-car-wheels", "small-car", 26, rear_driven=1.0),
     "wheels-with-rolling-resistance-by-speed": lambda: wheel_case("small-car-wheels", "small-car", 27, f_1=1e-4),
-    "battery-at-its-largest-power": lambda: battery_case("nimh-93ah", 28, u_min=0.0),
+    "battery-at-its-largest-power": lambda: store_case("nimh-93ah", 28, u_min=0.0),
 }
 CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 30 + i) for i, n in enumerate(component_names("body"))}
-CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(component_names("wheel"))}
-CASES |= {f"battery-{n}": lambda n=n, i=i: battery_case(n, 50 + i) for i, n in enumerate(component_names("battery"))}
+WHEELS = [*component_names("wheel"), *component_names("wheel-j2452")]
+CASES |= {f"wheels-{n}": lambda n=n, i=i: wheel_case(n, "small-car", 40 + i) for i, n in enumerate(WHEELS)}
+CASES |= {f"body-{n}": lambda n=n, i=i: body_case(n, 46 + i, m=1500.0, F_1=1.5) for i, n in enumerate(component_names("coast-down-body"))}
+CASES |= {"wheels-under-a-body-by-its-road-load": lambda: wheel_case("suv-wheels-j2452", "small-car-coast-down", 48)}
+STORES = [name for kind in ("battery", "battery-rc", "ultracapacitor") for name in component_names(kind)]
+CASES |= {f"battery-{n}": lambda n=n, i=i: store_case(n, 50 + i) for i, n in enumerate(STORES)}
 
 
 @cache

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from halfshaft.library.control.series import PARTS
+from halfshaft.library.control.power_follower import PARTS
 from halfshaft.models.vehicle import Vehicle
 
 FOLLOWER = Vehicle.load("small-car-series-follower")
@@ -17,10 +17,16 @@ class Control:
         self.P_min, self.P_max = (s * self.engine.P_largest for s in (self.part.p.P_min_share, self.part.p.P_max_share))
 
     def step(self, P_bus, soc=0.6, P_battery_max=1e5, P_battery_min=-1e5):
-        given = self.part.control(
-            P_bus=P_bus, soc_before=soc, P_battery_max=P_battery_max, P_battery_min=P_battery_min, key_on=1.0, dt=self.dt,
-            engine=self.engine, generator=self.generator, **self.state,
-        )  # fmt: skip
+        known = {
+            "P_bus": P_bus, "soc_before": soc, "P_battery_max": P_battery_max, "P_battery_min": P_battery_min, "key_on": 1.0, "dt": self.dt,
+            "engine": self.engine, "generator": self.generator, **self.state,
+        }  # fmt: skip
+        waiting = list(self.part.faces())
+        while waiting:
+            ready = next(f for f in waiting if known.keys() >= set(f.takes))
+            waiting.remove(ready)
+            known |= ready.run(**{name: known[name] for name in ready.takes})
+        given = {name: x for name, x in known.items() if name.startswith("next_") or name in [v.name for v in self.part.variables]}
         self.state = {name: float(given[f"next_{name}"]) for name in self.state}
         return {name: float(x) for name, x in given.items()}
 

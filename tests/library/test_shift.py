@@ -1,4 +1,5 @@
 import pytest
+from faces import in_turn
 
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.files.component_file import read_component
@@ -27,8 +28,9 @@ class Box:
 
     def step(self, omega_engine, load):
         ratio = RATIOS[int(self.state["gear_before"]) - 1]
-        given = self.part.control(
-            tau_gearbox=100 * load * ratio, omega_gearbox=omega_engine / ratio, slip_limited=0.0, trace_missed=0.0, torque_ratio=1.0,
+        given = in_turn(
+            self.part, "demand", "control", tau_gearbox=100 * load * ratio,
+            omega_gearbox=omega_engine / ratio, slip_limited=0.0, trace_missed=0.0, torque_ratio=1.0,
             ratios=RATIOS, machine=MACHINE, dt=self.dt, decided=0.0, omega_estimate=0.0, **self.state,
         )  # fmt: skip
         self.state = {k: float(given[f"next_{k}"]) for k in self.state}
@@ -65,5 +67,7 @@ def test_the_time_in_a_raised_gear_is_a_number_of_the_shift():
 def test_a_request_out_of_reach_shifts_by_the_speed_that_was_reached(signal, seen):
     part, known = shift(), {"slip_limited": 0.0, "trace_missed": 0.0, "torque_ratio": 1.0, "dt": 0.1, "decided": 0.0, **signal}
     state = {"gear_before": 1.0, "raised": 0.0, "t_since_shift": 15.0, "omega_estimate": 200.0}
-    given = part.control(tau_gearbox=50 * RATIOS[0], omega_gearbox=300.0 / RATIOS[0], ratios=RATIOS, machine=MACHINE, **known, **state)
+    given = in_turn(
+        part, "demand", tau_gearbox=50 * RATIOS[0], omega_gearbox=300.0 / RATIOS[0], ratios=RATIOS, machine=MACHINE, **known, **state
+    )
     assert float(given["omega_input_estimate"]) == pytest.approx(seen)

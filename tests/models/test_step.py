@@ -8,7 +8,13 @@ from halfshaft.library.base.errors import SolveError
 from halfshaft.models.assembly import REQUESTED, assemble
 from halfshaft.models.vehicle import Vehicle
 
-VEHICLES = {"electric": "small-car-electric", "series": "small-car-series-follower", "conventional": "small-car-conventional"}
+VEHICLES = {
+    "electric": "small-car-electric",
+    "series": "small-car-series-follower",
+    "conventional": "small-car-conventional",
+    "fuel cell": "small-car-fuel-cell",
+    "fuel cell by polarisation": "small-car-fuel-cell-polarisation",
+}
 UDDS = Cycle.load("udds").sampled(1.0)
 
 every_powertrain = pytest.mark.parametrize("powertrain", VEHICLES)

@@ -541,3 +541,22 @@ def test_a_new_source_can_stand_in_for_the_battery():
     series, energies, samples = marched(made)
     assert np.all(np.abs(series["body.v"] - samples.v) < 1e-9)
     assert abs(account(made.step.outputs, energies).balance_relative) < 1e-12
+
+
+@dataclass(frozen=True)
+class Misspelt(Extra):
+    """A part that tags a variable and a state with words that are none."""
+
+    states = (State("soc", "1", "charge", shown=True, tag="chrage"),)
+    variables = (Variable("gear", "1", "gear", tag="geer"),)
+
+    @face("gear", "next_soc")
+    def run(self, soc):
+        return {"gear": 1.0, "next_soc": soc}
+
+
+def test_an_unknown_tag_is_named_with_the_nearest():
+    assert problems(assemble, with_extra(Misspelt)) == [
+        "extra.soc has the tag 'chrage', which is not known, did you mean 'charge'?",
+        "extra.gear has the tag 'geer', which is not known, did you mean 'gear'?",
+    ]
