@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias, cast
 
@@ -30,11 +30,6 @@ class Rule(Parameters):
     def __call__(self, sets: Sets) -> Any:
         """Return the value; `sets` are the parameters by the rule's own names for the parts."""
         raise NotImplementedError
-
-    @classmethod
-    def lacks(cls) -> bool:
-        """Return whether it has numbers that only a vehicle can give."""
-        return any(f.default is MISSING for f in fields(cls))
 
 
 @dataclass(frozen=True, kw_only=True)

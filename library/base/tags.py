@@ -38,6 +38,7 @@ Tag: TypeAlias = Literal[
     "shift time",
     "hold time",
     "launch share",
+    "electric launch speed",
     # Of what burns or converts fuel.
     "fuel mass",
     "fuel density",
