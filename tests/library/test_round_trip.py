@@ -329,7 +329,7 @@ def junction_case(part, x, load, offering, signals, inside, edges):
     def run(face, **known):
         return face.run(**{n: known[n] for n in face.takes if n in known})
 
-    known = {name: load, "dt": DT, **offering, **signals}
+    known = {name: load, "dt": DT, **offering, **signals, **{f"_sent_{port}": point for port, point in offering.items()}}
     known |= run(faces["required"], **known)
     sent = {}
     for port in (port.name for port in part.asked_ports() if port.name not in offering):
