@@ -5,7 +5,7 @@
     P      = tau_out omega_out / eta + P_accessories                         (1)
     G      = clip(omega_locus(P) / omega_out, G_lowest, G_highest)           (2)
 
-with the transmission's efficiency and the accessories' power of the previous step.
+with the transmission's efficiency and the accessories' power of the previous step.  The ratio changes no faster than ``rate``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import casadi as ca
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import clip, where
-from halfshaft.library.base.parameters import Parameters, table
+from halfshaft.library.base.parameters import Parameters, param, table
 from halfshaft.library.base.ports import Expr
 from halfshaft.library.base.tables import Axis, Table
 
@@ -31,6 +31,7 @@ class CvtControlParameters(Parameters):
     """Locus of the engine's speed."""
 
     omega_locus: Table = table("rad/s", "engine speed over its power", Axis("P", "W"), clip=True, ge=0)
+    rate: float = param("1/s", "largest change of the ratio per second over the ratio; the original has no limit", 1e6, ge=1e-3, le=1e6)
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,12 @@ class CvtControl(Component):
     @face("ratio", "omega_input_estimate", "next_ratio_before")
     def control(
         self, tau_gearbox: Expr, omega_gearbox: Expr, torque_ratio: Expr, ratios: tuple[Expr, ...], omega_own: Expr, ratio_before: Expr,
-        decided: Expr, tau_accessory_before: Expr = 0.0,
+        dt: Expr, decided: Expr, tau_accessory_before: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Choose the ratio for this step."""
         eta = where(torque_ratio > 0, torque_ratio, ETA_START)
         P = tau_gearbox * omega_gearbox / eta + tau_accessory_before * omega_own
         wanted = clip(self.p.omega_locus(P) / ca.fmax(omega_gearbox, 1e-3), ratios[-1], ratios[0])
-        ratio = where(decided, ratio_before, wanted)
+        most = 1 + self.p.rate * dt
+        ratio = where(decided, ratio_before, clip(wanted, ratio_before / most, ratio_before * most))
         return {"ratio": ratio, "omega_input_estimate": omega_gearbox * ratio, "next_ratio_before": ratio}

@@ -22,6 +22,7 @@ from halfshaft.library.base.junction import Junction, shared_speed
 from halfshaft.library.base.links import Link, continuous, drag
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Expr, Port, Shaft
+from halfshaft.library.electric.motor import Motor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,13 @@ class CrankshaftCoupler(_Coupler):
     """Machine on the crankshaft, between clutch and engine, which also starts the engine."""
 
     kind = "crankshaft-coupler"
-    reads = (From("control", tau_machine="N.m", clutch_open="1"),)
+    signals = (*_Coupler.signals, Signal("tau_machine_largest", "N.m", "largest torque that the machine can add at the crankshaft"))
+    reads = (From("control", tau_machine="N.m", clutch_open="1"), From("machine", Motor, along=("motor",)))
+
+    @face("n_motor", "tau_machine_largest")
+    def law(self, machine: Motor) -> Mapping[str, Any]:
+        """Publish the motor's ratio and its largest torque."""
+        return {"n_motor": self.p.n, "tau_machine_largest": self.p.n * machine.p.overtorque * machine.tau_largest}
 
     def ask_engine(self, output: Shaft, tau_machine: Expr) -> Shaft:
         """Return what is not wanted of the machine."""

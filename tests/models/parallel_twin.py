@@ -166,3 +166,75 @@ def parallel(parameters, samples, *, behind_gearbox=False):
             final.seen = {}  # It takes its neighbour for the gearbox.
         row = seen(road, final, gearbox, shift, clutch, belt, engine, control, motor, accessories, bus, battery, coupler)
         yield {name.replace("accessories.", "electric_accessories.", name.startswith("acc")): x for name, x in row.items()}
+
+
+class MildControl:
+    """Start, stop and help in the manner of the Insight's; the machine sits on the crankshaft."""
+
+    def __init__(self, p, engine, motor, n_motor, v_start):
+        self.p, self.engine, self.motor, self.n = p, engine, motor, n_motor
+        self.w_idle, self.w_launch = p.omega_idle, max(p.launch_share * engine.w_top, 1.5 * p.omega_idle)
+        self.clutch, self.on = ENGAGED if v_start > 0 else OPEN, v_start > 0
+
+    def decide(self, T, w, w_estimate, shifting, road, a_request, gear, soc, key_on, dt):
+        """Return the clutch's state, engine on, its speed, and the machine's torque at the crankshaft."""
+        p, was_on = self.p, self.on
+        stops = T <= 1e-3 and road.v_lim < p.v_decel and soc >= p.soc_low and not (shifting and was_on)
+        self.on = bool(key_on) and not stops
+        if not self.on or shifting or (T <= 1e-3 and (p.open_when_braking or w_estimate < p.omega_idle)):
+            self.clutch = OPEN
+        else:
+            self.clutch = SLIPPING if T > 1e-3 and max(w_estimate, w) < self.w_launch and self.clutch != ENGAGED else ENGAGED
+        w_c = clip(self.w_launch if self.clutch == SLIPPING else w, p.omega_idle, self.engine.w_top) if self.on else 0.0
+
+        T = 0.0 if self.clutch == OPEN else T
+        T_max, fade = self.n * self.motor.T_max(self.n * w_c), clip((soc - p.soc_low) / (p.soc_assist - p.soc_low), 0, 1)
+        if not self.on:
+            T_m = 0.0
+        elif not was_on:
+            T_m = clip(self.engine.J * (w_c - self.engine.own) / dt, 0, T_max)
+        elif T > p.tau_full:
+            T_m = fade * min(T_max, p.P_full / w_c)
+        elif T >= p.tau_assist and gear > 1 and a_request >= p.a_assist and road.v_lim >= p.v_assist:
+            T_m = fade * min(p.share_low * T_max + p.slope * (T - p.tau_assist), p.share_high * T_max)
+        elif soc >= p.soc_high:
+            T_m = 0.0
+        else:
+            T_m = p.slope_regen * (T - p.tau_regen) if T <= p.tau_regen else -p.P_alternator / w_c
+        self.seen = {
+            "control.clutch_state": self.clutch, "control.engine_on": float(self.on), "control.omega_command": w_c,
+            "control.tau_machine": T_m,
+        }  # fmt: skip
+        return self.clutch, self.on, w_c, T_m
+
+
+def mild(parameters, samples):
+    """Return a row of every step of a mild hybrid."""
+    p = parameters
+    road, final, gearbox = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Gearbox(p["gearbox"])
+    engine, belt = HybridEngine(p["engine"], p["control"].omega_idle), MechanicalAccessories(p["mechanical_accessories"])
+    motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"]), Bus()
+    battery, n, T_drag = Battery(p["battery"], p["motor"].U_min), p["coupler"].n, p["coupler"].tau_loss
+    control = MildControl(p["control"], engine, motor, n, samples.v_start)
+    T_largest = engine.T_largest + n * motor.p.overtorque * motor.p.torque_scale * max(motor.p.tau_max.values.tolist())
+    shift, clutch = Shift(p["shift"], p["gearbox"].ratios, engine.T_max), Clutch(T_largest, control.w_launch)
+    for v_request, grade, key_on, dt in steps(samples, road):
+        battery.limits()
+        a_request = (v_request - road.v) / dt
+        T, w, alpha = final.required(*road.required(v_request, grade, dt))
+        gear, G, shifting = shift.choose(T, w, road, gearbox, dt, belt.T)
+        T, w, alpha = gearbox.required(T, w, alpha, gear, G, shifting)
+        state, on, w_c, T_m = control.decide(T, w, shift.w_estimate, shifting, road, a_request, gear, battery.soc, key_on, dt)
+        is_open, slips = state == OPEN, state == SLIPPING
+        T, w_shaft = clutch.required(T, w, state)
+        T_loss = T_drag if w_shaft > 0 else 0.0
+        w_engine = engine.geared_speed(w_c, control.w_idle, on, is_open, slips, belt.T, G, road, dt)
+        T_e, w_e = engine.geared(belt.required(T + T_loss - T_m, w_engine, control.w_idle, on), w_shaft, on, is_open, slips, road, dt)
+        T_e = belt.available(T_e)
+        rotor = motor.required((T + T_loss - T_e) / n, n * w_e, 0.0 if is_open else n * alpha, battery.U, road)
+        P = bus.available(battery.available(bus.required(accessories.required(rotor, key_on), 0.0), dt))
+        T_a, w_a = motor.available(accessories.available(P))
+        T, w = clutch.available(T_e + n * T_a - T_loss, min(w_shaft, w_e, w_a / n))
+        road.available(*final.available(*gearbox.available(T, w)))
+        row = seen(road, final, gearbox, shift, clutch, belt, engine, control, motor, accessories, bus, battery)
+        yield {name.replace("accessories.", "electric_accessories.", name.startswith("acc")): x for name, x in row.items()}

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from parallel_twin import parallel
+from parallel_twin import mild, parallel
 from twins.vehicles import columns
 
 from halfshaft import Cycle, Vehicle, run
@@ -57,19 +57,38 @@ BALANCED = {
     "short of charge": {"battery.soc_start": 0.61},
     "rich in charge": {"battery.soc_start": 0.69, "control.load_low": 0.3, "control.load_high": 0.5, "control.load_weight": 0.5},
 }
+MILD = {
+    "as it is": {},
+    "short of charge": {"battery.soc_start": 0.24, "battery.capacity_scale": 0.3, "electric_accessories.P_on": 1500.0},
+    "full": {"battery.soc_start": 0.82, "control.v_decel": 9.0},
+    "helps much": {
+        "control.tau_assist": 8.0, "control.a_assist": -1.0, "control.v_assist": 0.0, "control.share_low": 0.5, "control.share_high": 0.9,
+        "control.slope": 0.5, "control.tau_full": 60.0, "control.P_full": 9000.0, "control.tau_regen": -3.0, "control.slope_regen": 1.0,
+    },
+    "belt-driven, opens when braking": {
+        "coupler.n": 1.4, "coupler.tau_loss": 0.8, "control.open_when_braking": 1.0, "mechanical_accessories.tau_on": 2.0,
+        "motor.speed_scale": 1.5,
+    },
+    "takes time to shift": {"shift.t_shift": 0.3, "shift.t_hold": 2.0, "control.launch_share": 0.4, "control.omega_idle": 70.0},
+    "heavy, with a heavy rotor": {"body.m": 2000.0, "engine.J": 0.4, "gearbox.J": 0.02, "motor.torque_scale": 2.0},
+    "weak": {"motor.torque_scale": 0.3, "motor.I_max": 20.0, "battery.n_modules": 12.0},
+    "on ice, rear-driven": {"wheel.mu_max": 0.2, "wheel.front_driven": 0.0, "wheel.rear_driven": 1.0},
+}  # fmt: skip
 VEHICLES = {
-    "small-car-parallel": (parallel, ASSIST),
-    "small-car-parallel-balanced": (parallel, BALANCED),
-    "small-car-parallel-post": (partial(parallel, behind_gearbox=True), {}),
+    "small-car-parallel": (parallel, {**CARS, **ASSIST}),
+    "small-car-parallel-balanced": (parallel, {**CARS, **BALANCED}),
+    "small-car-parallel-post": (partial(parallel, behind_gearbox=True), CARS),
+    "small-car-plug-in-parallel": (parallel, {"as it is": {}, "nearly empty": {"battery.soc_start": 0.32}}),
+    "small-car-mild-hybrid": (mild, MILD),
 }
-CASES = [(name, car) for name, (_, own) in VEHICLES.items() for car in {**CARS, **own}]
+CASES = [(name, car) for name, (_, cars) in VEHICLES.items() for car in cars]
 
 
 @pytest.mark.parametrize("cycle", RUNS)
 @pytest.mark.parametrize(("name", "car"), CASES)
 def test_the_step_is_the_car_by_hand(name, car, cycle):
-    twin, own = VEHICLES[name]
-    vehicle, (trace, dt) = Vehicle.load(name).with_values({**CARS, **own}[car]), RUNS[cycle]
+    twin, cars = VEHICLES[name]
+    vehicle, (trace, dt) = Vehicle.load(name).with_values(cars[car]), RUNS[cycle]
     result = run(vehicle, trace, dt=dt)
     by_hand = columns(twin(vehicle.parameters, trace.sampled(dt)))
     assert len(by_hand) > 50

@@ -156,6 +156,49 @@ COLD = {
     "cold": {"battery.T_start": 275.0, "battery.T_ambient": 270.0, "battery.mass": 0.2},
     "warms up": {"battery.T_start": 285.0, "battery.T_ambient": 300.0, "battery.mass": 0.1, "battery.capacity_scale": 0.6},
 }
+AUTOMATIC = {
+    "heavy rotor": {"body.m": 1800.0, "engine.J": 0.4},
+    "takes time to lock": {"shift.t_shift": 2.5, "shift.t_hold": 3.0, "shift.t_raised": 5.0},
+    "locks in all gears": {"shift.lockup_1": 1.0, "shift.lockup_2": 1.0, "shift.lockup_3": 1.0, "gearbox.J": 0.02},
+    "never locks": {"shift.lockup_4": 0.0},
+    "large converter": {"converter.capacity_scale": 1.0, "accessories.P_on": 2500.0, "accessories.eta": 0.7, "accessories.tau_on": 1.0},
+    "idles fast": {"control.omega_idle": 130.0, "converter.capacity_scale": 0.2},
+    "scaled": {
+        "engine.speed_scale": 0.7, "engine.torque_scale": 1.3, "engine.efficiency_scale": 1.1, "gearbox.torque_scale": 0.8,
+        "engine.H_fuel": 4e7, "gearbox.speed_scale": 0.9,
+    },
+    "close gears": {"gearbox.ratios_1": 9.0, "gearbox.ratios_2": 8.0, "gearbox.ratios_3": 6.5, "gearbox.ratios_4": 2.0},
+}  # fmt: skip
+CVT = {
+    "heavy rotor": {"body.m": 1800.0, "engine.J": 0.4},
+    "changes slowly": {"shift.rate": 0.05, "gearbox.J": 0.02, "control.launch_share": 0.4},
+    "changes at once": {"shift.rate": 1e6},
+    "poor": {"gearbox.efficiency_scale": 0.7, "gearbox.speed_scale": 1.3, "gearbox.torque_scale": 0.6},
+    "narrow": {"gearbox.ratios_1": 9.0, "gearbox.ratios_2": 4.0, "engine.H_fuel": 4e7},
+    "off at stops, open when braking": {"control.idle_at_stop": 0.0, "control.open_when_braking": 1.0, "accessories.tau_on": 2.0},
+    "idles fast": {"control.omega_idle": 130.0, "accessories.P_on": 2500.0, "accessories.eta": 0.7, "accessories.tau_on": 1.0},
+    "scaled": {"engine.speed_scale": 0.7, "engine.torque_scale": 1.3, "engine.efficiency_scale": 1.1},
+}  # fmt: skip
+TWO_MOTOR = {
+    "half the pack": ELECTRIC["half the pack"],
+    "full": ELECTRIC["full"],
+    "hot": ELECTRIC["hot"],
+    "weak in all": {
+        "motor_front.U_min": 300.0, "wheel.F_brake_front_max": 1500.0, "wheel.F_brake_rear_max": 300.0, "motor_front.I_max": 120.0,
+    },
+    "needs voltage at the rear": {"motor_rear.U_min": 300.0},
+    "polynomials": {f"gearbox_{axle}.{name}": c for axle in ("front", "rear") for name, c in (("c1", 0.9), ("c3", 0.3), ("c6", 150.0))},
+    "few modules": {"battery.n_modules": 18.0, "battery.u_min": 11.2, "battery.soc_start": 0.5},
+    "weak at the rear": {"motor_rear.torque_scale": 0.3, "motor_front.I_max": 80.0, "motor_front.efficiency_scale": 0.9},
+    "weak at the front": {"motor_front.torque_scale": 0.3, "motor_rear.I_max": 60.0, "motor_rear.efficiency_scale": 0.9},
+    "slow at the rear": {"motor_rear.omega_max": 500.0, "motor_rear.J": 0.1, "gearbox_rear.ratios_1": 7.0, "gearbox_rear.J": 0.02},
+    "slow at the front": {"motor_front.omega_max": 500.0, "motor_front.J": 0.1, "gearbox_front.ratios_1": 7.0, "gearbox_front.J": 0.02},
+    "other reductions": {
+        "final_drive_front.i": 1.3, "final_drive_front.tau_loss": 3.0, "final_drive_front.J": 0.05, "final_drive_rear.i": 0.8,
+        "final_drive_rear.tau_loss": 2.0, "final_drive_rear.J": 0.03,
+    },
+    "front-driven": {"wheel.rear_driven": 0.0},
+}  # fmt: skip
 #: Vehicle of the library, other parts for it, and the values that it is run with.
 FLEET = [
     ("small-car-electric", {}, CHASSIS | MAPPED | ELECTRIC),
@@ -171,6 +214,9 @@ FLEET = [
     ("small-car-series", {}, {"as it is": {}} | WEAK | SERIES),
     ("small-car-series-follower", {}, {"as it is": {}, "gives and takes": SERIES["starts empty"] | {"control.t_off_min": 5.0}}),
     ("paper-series-1459", {}, POLYNOMIAL),
+    ("small-car-automatic", {}, {name: CHASSIS[name] for name in ("as it is", "on ice", "weak brakes", "draggy")} | MAPPED | AUTOMATIC),
+    ("small-car-cvt", {}, {name: CHASSIS[name] for name in ("as it is", "on ice", "weak brakes")} | CVT),
+    ("small-car-two-motor", {}, {name: CHASSIS[name] for name in ("as it is", "on ice, light at the rear")} | TWO_MOTOR),
 ]
 CARS = {
     f"{vehicle}{', ' * bool(parts)}{', '.join(parts.values())}: {name}": (vehicle, parts, values)
@@ -230,8 +276,11 @@ def test_a_heavy_generator_gets_its_torque_from_the_engine(car_of):
     assert result["generator.P_loss"].min() > -1e-6
 
 
-#: The cycle sets the first, the others are for reports only.
-WITHOUT_EFFECT = {"body.v_start", "motor.mass", "generator.mass", "engine.mass", "engine.rho_fuel"}
+#: The cycle sets the first, the axles tell the forward-facing model alone, the others are for reports only.
+WITHOUT_EFFECT = {
+    "body.v_start", "axle_front.rear", "axle_rear.rear", "motor_front.mass",
+    "motor_rear.mass", "motor.mass", "generator.mass", "engine.mass", "engine.rho_fuel",
+}  # fmt: skip
 
 
 def other_value(vehicle, name):

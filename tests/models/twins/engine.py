@@ -63,6 +63,22 @@ class Engine:
         self.seen |= {"engine.omega": w_a}
         return T, w_a
 
+    def behind_oil(self, w_c, w_idle, on, G, dt):
+        """Return the speed of this step against a converter that is not locked."""
+        w = min(w_c, self.own + dt * self.T_max(self.own) / max(self.J, 1e-6), self.w_top)
+        self.w = max(w, w_idle * on)
+        self.free, self.command, self.G, self.w_c = self.w, w_c, G, w_c
+        return self.w
+
+    def against_oil(self, T_req, on, dt):
+        """Return torque and speed there: the rotor comes first."""
+        highest, closed = self.T_max(self.w) if on else 0.0, self.T_closed(self.w)
+        T_J = self.J * (self.w - self.own) / dt
+        T = max(highest - T_J, 0.0) if T_req + T_J > highest else max(T_req, closed - T_J)
+        self.burn(T, clip(T_req + T_J, closed, highest), on, False, dt)
+        self.seen |= {"engine.omega": self.w}
+        return T, self.w
+
     def genset(self, T_req, w_c, on, ready, dt):
         """Return torque and speed at the shaft of a generator."""
         if ready:

@@ -1,0 +1,103 @@
+"""Every powertrain by the step and by the forward-facing model, side by side.
+
+``python -m halfshaft.validation.powertrains`` prints the table of the manual's page on the forward-facing model, for one vehicle of
+each powertrain unless some are named; ``halfshaft reproduce`` makes it too.  It takes some minutes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
+
+from halfshaft.cosim.acceleration import accelerate
+from halfshaft.cosim.cycle import Cycle
+from halfshaft.cosim.simulate import Via, run
+from halfshaft.library.base.errors import SolveError
+from halfshaft.models.powertrain import powertrains
+from halfshaft.models.vehicle import Vehicle, vehicle_names
+
+CYCLES = ("udds", "hwfet", "us06")
+#: Fuel and electric energy together [kWh] below which a difference in per cent says nothing.
+NOTHING = 1e-3
+
+
+_NONE = (None, None)
+
+
+class Row(NamedTuple):
+    """One task of one vehicle: what was used and how the charge ends, by the step and by the forward-facing model.
+
+    ``fuel`` [L], ``battery`` [kWh], ``charge`` at the end [1], ``time`` to 100 km/h [s]; pairs, None where there is no such thing, or
+    the forward-facing model did not finish.
+    """
+
+    vehicle: str
+    task: str
+    fuel: tuple[float | None, float | None]
+    battery: tuple[float | None, float | None]
+    charge: tuple[float | None, float | None]
+    time: tuple[float | None, float | None]
+    #: All energy that was used, the fuel's heating value included, forward over step [1].
+    energy: float | None
+
+
+def first_of_each() -> list[str]:
+    """Return one small car of each powertrain, the one with the shortest name."""
+    found: dict[str, str] = {}
+    for name in sorted((n for n in vehicle_names() if n.startswith("small-car")), key=lambda n: (len(n), n)):
+        found.setdefault(Vehicle.load(name).powertrain, name)
+    return [found[name] for name in powertrains() if name in found]
+
+
+def compared(vehicle: Vehicle, task: str) -> Row:
+    """Run a task both ways."""
+    ways: tuple[Via, Via] = ("step", "forward")
+    if task not in CYCLES:
+        times = tuple(accelerate(vehicle, mode="refined" if via == "step" else "hybrid", via=via, duration=60.0).time for via in ways)
+        return Row(vehicle.name, task, _NONE, _NONE, _NONE, times, _ratio(*times))  # type: ignore[arg-type]
+    runs = [run(vehicle, Cycle.load(task), via=via) for via in ways]
+    stored = any(d.booking == "stored" for d in runs[0].outputs)
+    fuel = tuple(r.summary["fuel_L"] for r in runs)
+    battery = tuple(r.account.battery / 3.6e6 if stored else None for r in runs)
+    charge = tuple(r.summary["soc_end"] for r in runs)
+    used = [(r.account.fuel + r.account.battery) / 3.6e6 for r in runs]
+    return Row(vehicle.name, task, fuel, battery, charge, _NONE, _ratio(*used))  # type: ignore[arg-type]
+
+
+def _ratio(step: float | None, forward: float | None) -> float | None:
+    return None if step is None or forward is None or abs(step) < NOTHING else forward / step - 1
+
+
+def comparison(names: Iterable[str] = (), progress: Callable[[str], None] | None = None) -> Iterator[Row]:
+    """Yield the rows, as they are made; a task that the forward-facing model does not finish has none of its numbers."""
+    for name in names or first_of_each():
+        vehicle = Vehicle.load(name)
+        for task in (*CYCLES, "0-100 km/h"):
+            if progress:
+                progress(f"{name}, {task}")
+            try:
+                yield compared(vehicle, task)
+            except SolveError as error:
+                if progress:
+                    progress(f"{name}, {task}: {error}")
+                yield Row(name, task, _NONE, _NONE, _NONE, _NONE, None)
+
+
+def table(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield the lines of a table in Markdown, as the rows come."""
+    yield "| vehicle | | fuel [L] step, forward | battery [kWh] step, forward | charge at the end | 0-100 km/h [s] | forward less step |"
+    yield "|---|---|---|---|---|---|---|"
+    for row in rows:
+        pairs = ((row.fuel, 4), (row.battery, 4), (row.charge, 4), (row.time, 3))
+        shown = [
+            ", ".join("-" if x is None else f"{x:.{n}f}" for x in pair) if any(x is not None for x in pair) else "" for pair, n in pairs
+        ]
+        apart = "-" if row.energy is None else f"{row.energy:+.2%}".replace("%", " %")
+        yield f"| `{row.vehicle}` | {row.task} | {' | '.join(shown)} | {apart} |"
+
+
+if __name__ == "__main__":
+    for line in table(comparison(sys.argv[1:])):
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
