@@ -12,4 +12,4 @@ def connect(m: Model) -> None:
     conventional.connect(m)
 
 
-cvt = Powertrain("cvt", "conventional car with a continuous ratio", ROLES, connect)
+cvt = Powertrain("cvt", "conventional car with a continuous ratio", ROLES, connect, conventional.conventional.derived)
