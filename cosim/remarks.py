@@ -55,10 +55,12 @@ def _store(result: Result, part: str, acts: Mask) -> Iterator[Found]:
     soc = np.concatenate([[result.first.get(name, np.nan)], result[name][:-1]])
     missing = _power_missing(result, part)
     discharging = missing > 0 if missing is not None else result[f"{part}.P_out"] > 0
-    yield Found("empty", acts & discharging & (soc <= SOC_EMPTY), missing, "not given")
-    yield Found("lowest voltage", acts & discharging & (soc > SOC_EMPTY), missing, "not given")
-    yield Found("full", acts & ~discharging & (soc >= SOC_FULL), missing, "not taken")
-    yield Found("highest voltage", acts & ~discharging & (soc < SOC_FULL), missing, "not taken")
+    set_to = result.inputs.parameters
+    empty, full = set_to.get(f"{part}.soc_empty", SOC_EMPTY), set_to.get(f"{part}.soc_full", SOC_FULL)
+    yield Found("empty", acts & discharging & (soc <= empty), missing, "not given")
+    yield Found("lowest voltage", acts & discharging & (soc > empty), missing, "not given")
+    yield Found("full", acts & ~discharging & (soc >= full), missing, "not taken")
+    yield Found("highest voltage", acts & ~discharging & (soc < full), missing, "not taken")
 
 
 def _grip(result: Result, part: str, acts: Mask) -> Iterator[Found]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias, cast
 
@@ -26,6 +26,11 @@ class Rule(Parameters):
     #: What a file calls it, and its own names for the parts that it looks at; None is all other parts.
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...] | None]
+
+    @classmethod
+    def lacks(cls) -> bool:
+        """Return whether it cannot go by what a vehicle's file leaves out."""
+        return any(f.default is MISSING for f in fields(cls))
 
     def __call__(self, sets: Sets) -> Any:
         """Return the value; `sets` are the parameters by the rule's own names for the parts."""

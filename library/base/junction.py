@@ -7,7 +7,7 @@ each port what is asked there (`ask_<port>`), and what all of them together give
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -28,7 +28,8 @@ class Junction(Component):
     * ``chain``, if links lie between the load port and the split: drag, inertia, a ratio.
 
     In the forward-facing model a source that ``offers`` decides itself what flows.  Of the others the last gets what is
-    left; how much each of those before it takes is an algebraic unknown, for which the source must give a balance.
+    left; how much each of those before it takes is an algebraic unknown, for which the source must give a balance.  Where
+    kinematics divide further, `free` names the ports that keep an unknown, and plant faces of the subclass give the points.
     """
 
     def chain(self) -> tuple[Link, ...]:
@@ -37,10 +38,13 @@ class Junction(Component):
 
     join: Callable[..., Any]
 
+    #: The source ports whose flows divide freely, where these are not all that are asked but the last.
+    free: ClassVar[tuple[str, ...] | None] = None
+
     def __init_subclass__(cls, **given: Any) -> None:
         """Declare how the flow divides as unknowns."""
         super().__init_subclass__(**given)
-        fields = ((port.kind._fields[0], port.name) for port in cls.asked_ports()[:-1])
+        fields = ((port.kind._fields[0], port.name) for port in cls.free_ports())
         own = (Unknown(f"{f}_{name}", UNITS[f], f"{MEANINGS[f]} from {name}") for f, name in fields)
         # A subclass's own subclass has its parent's ports.
         cls.unknowns = tuple(dict.fromkeys((*cls.unknowns, *own)))
@@ -59,6 +63,12 @@ class Junction(Component):
     def asked_ports(cls) -> list[Port]:
         """Return the source ports that something is asked of."""
         return [port for port in cls.source_ports() if not port.offers]
+
+    @classmethod
+    def free_ports(cls) -> list[Port]:
+        """Return the source ports that take a share of the flow which only the motion decides."""
+        asked = cls.asked_ports()
+        return asked[:-1] if cls.free is None else [port for port in asked if port.name in cls.free]
 
     @classmethod
     def turns(cls) -> bool:
@@ -99,7 +109,7 @@ class Junction(Component):
             names, absent = self._takes(law)
 
             def ask(_split: Any, **x: Any) -> Mapping[str, Any]:
-                sent = law(**{load: _split} | x)
+                sent = _called(law, {load: _split} | x)
                 return {port: sent, f"_sent_{port}": sent}
 
             return Face(f"ask_{port}", ("_split", *names), absent, (port, f"_sent_{port}"), ask)
@@ -114,7 +124,7 @@ class Junction(Component):
         def available(_way: Any, _split: Any, dt: Any, **x: Any) -> Mapping[str, Any]:
             given = {port: x[port][0] == x.pop(private)[0] for port, private in sent.items()}
             reached = [given[port] for port in given if port not in made_up]
-            joined = self.join(**{load: _split} | x)
+            joined = _called(self.join, {load: _split} | x)
             # Where all sources give what they were asked for, so does the joint, to the last bit; what one of them did not give,
             # those that saw its offer were asked for.
             whole = reached[0] if len(reached) == 1 else ca.logic_and(*reached) if len(reached) == 2 else ca.logic_all(ca.vertcat(*reached))
@@ -139,7 +149,7 @@ class Junction(Component):
         laws = {port.name: getattr(self, f"ask_{port.name}") for port in asked}
         names, optional = self._takes(self.chain, *laws.values())
         own = {port.name for port in asked}
-        unknowns = {port.name: f"{port.kind._fields[0]}_{port.name}" for port in asked[:-1]}
+        unknowns = {port.name: f"{port.kind._fields[0]}_{port.name}" for port in self.free_ports()}
         offering = [port.name for port in self.source_ports() if port.offers]
         chain, _ = arguments(self.chain)
         rotor = ("P_kinetic",) if self.turns() else ()
@@ -149,7 +159,7 @@ class Junction(Component):
             points: dict[str, Any] = {}
             for port, law in laws.items():
                 known = {**x, **points, load: split}
-                point = law(**{n: known[n] for n in arguments(law)[0] if n in known})
+                point = _called(law, known)
                 points[port] = point._replace(**{point._fields[0]: x[unknowns[port]]}) if port in unknowns else point
             surplus = sum(p.P for p in points.values()) + sum(x[n].P for n in offering if n in x) - split.P
             return {**points, "P_loss": books.loss + surplus, **({"P_kinetic": books.kinetic} if rotor else {})}
@@ -168,6 +178,11 @@ class Junction(Component):
             return {"_audit": {"sum": sum(x[p].P for p in ports if p in x) - x[load].P - sum(x[name] for name in booked)}}
 
         yield Face("audit", (load, *ports, *booked), {}, ("_audit",), audit)
+
+
+def _called(law: Callable[..., Any], known: Mapping[str, Any]) -> Any:
+    """Return what a law gives for those of its arguments that are known."""
+    return law(**{n: known[n] for n in arguments(law)[0] if n in known})
 
 
 def shared_speed(load: Shaft, *turning: Shaft) -> Any:

@@ -49,7 +49,9 @@ class ParallelControlParameters(Parameters):
 
     soc_high: float = param("1", "upper end of the window of the state of charge", 0.7, ge=1e-3, le=1, tag="highest charge")
     soc_low: float = param("1", "lower end of the window", 0.6, ge=0, le=0.999)
-    v_launch_low: float = param("m/s", "speed below which the car drives electrically, at soc_low", 0.0, ge=0, le=1e3, tag="electric launch speed")
+    v_launch_low: float = param(
+        "m/s", "speed below which the car drives electrically, at soc_low", 0.0, ge=0, le=1e3, tag="electric launch speed"
+    )
     v_launch_high: float = param(
         "m/s", "speed below which the car drives electrically, from soc_high on", 0.0, ge=0, le=1e3, tag="electric launch speed"
     )

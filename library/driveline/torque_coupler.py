@@ -94,7 +94,7 @@ class CrankshaftCoupler(_Coupler):
     reads = (From("control", tau_machine="N.m", clutch_open="1"), From("machine", Motor, along=("motor",)))
 
     @face("n_motor", "tau_machine_largest")
-    def law(self, machine: Motor) -> Mapping[str, Any]:  # type: ignore[override]
+    def law(self, machine: Motor) -> Mapping[str, Any]:
         """Publish the motor's ratio and its largest torque."""
         return {"n_motor": self.p.n, "tau_machine_largest": self.p.n * machine.p.overtorque * machine.tau_largest}
 

@@ -61,13 +61,17 @@ class MotorParameters(Parameters):
     )
 
     rated: ClassVar[tuple[Rated, ...]] = (
-        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.ratings()["traction power"]),
+        Rated("P_max", "W", "largest power at the shaft, overtorque included", "torque_scale", lambda p: p.P_peak()),
         Rated("e_max", "1", "best efficiency while driving", "efficiency_scale", lambda p: best_efficiency(p)),
     )
 
+    def P_peak(self) -> float:
+        """Return the largest power at the shaft, overtorque included [W]."""
+        return peak_power(self)
+
     def ratings(self) -> Mapping[str, float]:
         """Return the largest power at the shaft [W]."""
-        return {"traction power": peak_power(self)}
+        return {"traction power": self.P_peak()}
 
 
 # A sweep asks for the same part again and again.
@@ -111,7 +115,7 @@ class Motor(TwoSided, Machine):
     states: ClassVar[tuple[State, ...]] = (
         State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),
     )
-    variables = (
+    variables: ClassVar[tuple[Variable, ...]] = (
         Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
         Variable("throttle_motor", "1", "that torque over the envelope, negative while braking", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
@@ -233,15 +237,23 @@ class Motor(TwoSided, Machine):
 
         The torque fades over the last half per cent below the top speed.
         """
-        lowest, highest = self.limits(ca.fabs(_omega))
+        room = P_room_out, P_room_in, U, tau_grip_out, tau_grip_in, forgiven
+        return {"balance": self.short(_tau, ca.fabs(_omega), _P, throttle_motor, *room)}
+
+    def short(
+        self, tau: Expr, omega: Expr, P: Expr, throttle: Expr, P_out: Expr, P_in: Expr, U: Expr,
+        tau_out: Expr = ca.inf, tau_in: Expr = ca.inf, forgiven: Expr = 0.0,
+    ) -> Expr:  # fmt: skip
+        """Return how much torque the machine gives beyond `tau`, at a throttle and with room for power and torque out and in."""
+        lowest, highest = self.limits(omega)
         top = self.omega_max
-        fade = clip((top - ca.fabs(_omega)) / (0.005 * top), 0, 1)
-        tau = where(throttle_motor >= 0, throttle_motor * highest * fade, -throttle_motor * lowest)
-        scale = ca.fmax(ca.fabs(_omega), 10)
+        fade = clip((top - omega) / (0.005 * top), 0, 1)
+        given = where(throttle >= 0, throttle * highest * fade, -throttle * lowest)
+        scale = ca.fmax(omega, 10)
         P_max = self.p.I_max * U
         # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
         # Where several machines meet the limit of one store, all balances would be the same; each forgives it a share of what it lacks.
-        out, into = P_room_out + forgiven * scale * (tau - _tau), P_room_in + forgiven * scale * (_tau - tau)
-        more = ca.fmax(ca.fmin(ca.fmin(out, P_max - _P) / scale, tau_grip_out), -_tau)
-        less = ca.fmin(-ca.fmin(ca.fmin(into, P_max + _P) / scale, tau_grip_in), -_tau)
-        return {"balance": ca.fmax(ca.fmin(tau - _tau, more), less)}
+        out, into = P_out + forgiven * scale * (given - tau), P_in + forgiven * scale * (tau - given)
+        more = ca.fmax(ca.fmin(ca.fmin(out, P_max - P) / scale, tau_out), -tau)
+        less = ca.fmin(-ca.fmin(ca.fmin(into, P_max + P) / scale, tau_in), -tau)
+        return ca.fmax(ca.fmin(given - tau, more), less)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -40,7 +40,9 @@ class ElectricNode(Component):
     load = Port(Electric, "wheel")
     other = Port(Electric, "wheel")
     supply = Port(Electric, "source")
-    signals = (Signal("forgiven", "1", "share of a missing torque that a machine's balance forgives the store's limit"),)
+    signals: ClassVar[tuple[Signal, ...]] = (
+        Signal("forgiven", "1", "share of a missing torque that a machine's balance forgives the store's limit"),
+    )
 
     @face("forgiven")
     def law(self) -> Mapping[str, Any]:

@@ -24,13 +24,13 @@ import casadi as ca
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import clip, where
-from halfshaft.library.base.parameters import Parameters, Rated, param
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, param
 from halfshaft.library.base.ports import Electric, Expr, Port
 from halfshaft.library.base.tables import Axis
 
 TEMPERATURE, CHARGE = Axis("T", "K"), Axis("soc", "1")
 
-#: A pack counts as empty up to here, and as full from here on.
+#: A pack counts as empty up to here, and as full from here on, unless it is told otherwise.
 SOC_EMPTY, SOC_FULL = 1e-3, 0.999
 #: Charge over which the limits of an empty or full pack set in, in the forward-facing model.
 SOC_FADE = 1e-4
@@ -49,6 +49,8 @@ class StoreParameters(Parameters):
     u_max: float = param("V", "highest voltage of a module", ge=0.1, le=1e4)
     capacity_scale: float = param("1", "factor on the capacity", 1.0, ge=1e-3, le=1e3)
     soc_start: float = param("1", "state of charge at the start", 0.7, ge=0, le=1, tag="start charge")
+    soc_empty: float = param("1", "state of charge up to which nothing is drawn", SOC_EMPTY, ge=0, le=0.999)
+    soc_full: float = param("1", "state of charge from which on nothing is stored", SOC_FULL, ge=1e-3, le=1)
     T_start: float = param("K", "temperature at the start", 293.15, ge=200, le=400)
     T_ambient: float = param("K", "temperature of the air", 293.15, ge=200, le=400)
     T_fan: float = param("K", "temperature above which the fan runs", 308.15, ge=200, le=500)
@@ -57,6 +59,8 @@ class StoreParameters(Parameters):
     R_th_fan: float = param("K/W", "thermal resistance of a module to the air with fan", ge=1e-3, le=1e3)
     R_th_still: float = param("K/W", "thermal resistance of a module to the air without fan", ge=1e-3, le=1e3)
     airflow: float = param("kg/s", "air flow of the fan at a module", ge=1e-6, le=10)
+
+    relations = (Relation(lambda p: p.soc_empty >= p.soc_full, "soc_empty = {soc_empty:g} must be below soc_full = {soc_full:g}"),)
 
     rated: ClassVar[tuple[Rated, ...]] = (Rated("E", "J", "energy of the full pack", "capacity_scale", lambda p: p.ratings()["energy"]),)
 
@@ -136,7 +140,7 @@ class Store(Component):
         P_max = ca.fmax(0, (U_oc - U_lowest) * U_lowest / R_out)
         I_min = ca.fmin(0, (U_oc - p.n_modules * p.u_max) / R_in)
         P_min = I_min * (U_oc - I_min * R_in)
-        return Limits(where(soc > SOC_EMPTY, P_max, 0), where(soc < SOC_FULL, P_min, 0), I_min)
+        return Limits(where(soc > p.soc_empty, P_max, 0), where(soc < p.soc_full, P_min, 0), I_min)
 
     def warming(self, P_loss: Expr, T: Expr) -> Expr:
         """Return the rate of the temperature, equation (2) [K/s]."""
@@ -154,7 +158,7 @@ class Store(Component):
     def available(self, dc: Electric, _limits: Limits, _source: Source) -> Mapping[str, Any]:
         """Return the power that the pack gives."""
         P = ca.fmin(dc.P, ca.fmax(0, _limits.P_max))
-        P = where(ca.logic_and(_source.soc >= SOC_FULL, dc.P < 0), 0, P)
+        P = where(ca.logic_and(_source.soc >= self.p.soc_full, dc.P < 0), 0, P)
         circuit = _source.circuit(dc.P)
         current = ca.fmax(circuit.current(P), _limits.I_min)
         U = circuit.U_oc - circuit.R * current
@@ -174,6 +178,6 @@ class Store(Component):
             "U": ca.fmax(U, 0.5 * circuit.U_oc),
             "_U": U,
             "I": current,
-            "P_room_out": clip((soc - SOC_EMPTY) / SOC_FADE, 0, 1) * limits.P_max - dc.P,
-            "P_room_in": dc.P - clip((SOC_FULL - soc) / SOC_FADE, 0, 1) * limits.P_min,
+            "P_room_out": clip((soc - self.p.soc_empty) / SOC_FADE, 0, 1) * limits.P_max - dc.P,
+            "P_room_in": dc.P - clip((self.p.soc_full - soc) / SOC_FADE, 0, 1) * limits.P_min,
         }

@@ -123,6 +123,7 @@ class Engine(Component, Machine):
         From("accessories", optional=True, tau_accessory_before="N.m"),
         From("shift", optional=True, ratio="1"),
         From("generator", optional=True, J_shaft="kg.m^2"),
+        From("gear", optional=True, along=("shaft",), braked="1"),
     )
 
     def start(self, omega_idle: Expr) -> Mapping[str, Any]:  # type: ignore[override]
@@ -208,7 +209,7 @@ class Engine(Component, Machine):
     )  # fmt: skip
     def torque(
         self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
-        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr | None = None,
+        v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr | None = None, braked: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equations (1) to (3)."""
         omega, closed, open_throttle = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
@@ -218,7 +219,7 @@ class Engine(Component, Machine):
         # A genset turns its generator's rotor too: with that alone while it only spins, with no less than that while it gives.
         rotor = 0 if J_shaft is None else J_shaft * (1 / dt) * change
         driven = shaft.tau if J_shaft is None else ca.fmax(shaft.tau, rotor)
-        asked = where(geared, shaft.tau, where(clutch_open, shaft.tau + rotor, driven))
+        asked = where(ca.logic_or(geared, braked), shaft.tau, where(clutch_open, shaft.tau + rotor, driven))
         # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
         gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
         J_alpha = J_dt * where(geared, gain, change)
@@ -234,7 +235,7 @@ class Engine(Component, Machine):
         omega_shaft = where(turned, ca.fmin(shaft.omega, self.omega_max), omega)
         kinetic = kinetic_rate(self.p.J, omega_own, own, dt)
         return {
-            "shaft": Shaft(tau, omega_shaft, shaft.alpha),
+            "shaft": Shaft(tau, omega_shaft, where(geared, shaft.alpha, change / dt)),
             "throttle_engine": (tau_map - closed) / (open_throttle - closed),
             "tau_map": tau_map,
             "speed_limited": ca.logic_and(turned, shaft.omega > self.omega_max * (1 - 1e-9)),
@@ -264,7 +265,7 @@ class Engine(Component, Machine):
             "torque at the shaft": where(clutch_open, 0, tau_map * omega_engine - taken),
         }
 
-    @plant("der_omega_engine", "tau_map", "speed_limited", "P_kinetic")
+    @plant("shaft", "der_omega_engine", "tau_map", "speed_limited", "P_kinetic")
     def turn(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
         clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
@@ -287,7 +288,13 @@ class Engine(Component, Machine):
         pedal = closed + ca.fmax(throttle_engine, idling) * (highest - closed)
         tau = where(engine_on, where(by_throttle, pedal, governed(omega_command)), closed)
         alpha = (tau - shaft.tau) / J
-        return {"der_omega_engine": alpha, "tau_map": tau, "speed_limited": fade < 1, "P_kinetic": J * alpha * omega_engine}
+        return {
+            "shaft": Shaft(shaft.tau, omega_engine, alpha),
+            "der_omega_engine": alpha,
+            "tau_map": tau,
+            "speed_limited": fade < 1,
+            "P_kinetic": J * alpha * omega_engine,
+        }
 
     @plant("der_fuel_used", "P_fuel", "P_loss")
     def fire(self, tau_map: Expr, omega_engine: Expr, engine_on: Expr) -> Mapping[str, Any]:

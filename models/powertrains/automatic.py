@@ -1,7 +1,8 @@
 """Conventional car with an automatic gearbox and a torque converter that can be locked."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import Powertrain
+from halfshaft.models.powertrain import Derived, Powertrain
+from halfshaft.models.rules import SumOfParts
 
 ROLES = {
     "body": ("body",),
@@ -21,4 +22,4 @@ def connect(m: Model) -> None:
     m.chain("body", "wheel", "final_drive", "gearbox", "converter", "accessories", "engine")
 
 
-automatic = Powertrain("automatic", "conventional car with torque converter", ROLES, connect)
+automatic = Powertrain("automatic", "conventional car with torque converter", ROLES, connect, (Derived("body.m", (SumOfParts,)),))

@@ -2,7 +2,7 @@
 
 from halfshaft.models.model import Model
 from halfshaft.models.powertrain import Derived, Powertrain
-from halfshaft.models.rules import TopSpeed
+from halfshaft.models.rules import SumOfParts, TopSpeed
 
 AXLES = ("front", "rear")
 DRIVELINE = {
@@ -36,9 +36,9 @@ def connect(m: Model) -> None:
     m.chain("node", "accessories", "bus.battery", "battery")
 
 
+RATIOS = (
+    Derived(f"gearbox_{axle}.ratios", (TopSpeed,), {"motor": f"motor_{axle}", "final_drive": f"final_drive_{axle}"}) for axle in AXLES
+)
 two_motor = Powertrain(
-    "two_motor", "battery electric car with a motor on each axle", ROLES, connect,
-    tuple(
-        Derived(f"gearbox_{axle}.ratios", (TopSpeed,), {"motor": f"motor_{axle}", "final_drive": f"final_drive_{axle}"}) for axle in AXLES
-    ),
+    "two_motor", "battery electric car with a motor on each axle", ROLES, connect, (Derived("body.m", (SumOfParts,)), *RATIOS)
 )  # fmt: skip

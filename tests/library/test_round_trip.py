@@ -119,6 +119,20 @@ def motor_case(part, seed):
     return chain_case(part, signals, loads(tau - p.J * alpha, omega, alpha), edges)
 
 
+def motor_generator_case(part, seed):
+    rng = random(seed)
+    top = part.omega_max
+    omega = np.append(rng.uniform(0.01, 1, N - 2) * top, [top, 2 * OMEGA_OFF]) * rng.choice([-1, 1], N)
+    alpha = rng.uniform(-60, 60, N)
+    limits = np.array([[float(t) for t in part.limits(abs(w))] for w in omega])
+    part_of_limit = np.append(rng.uniform(0, 1, N - 2), [1, 1])
+    # All four quadrants; backward the limits are those of the mirror image.
+    tau = np.sign(omega) * np.where(rng.random(N) < 0.5, limits[:, 0], limits[:, 1]) * part_of_limit
+    edges = np.vstack([loads([0, 10, -10], 0.0, [0, 10, -10]), loads([1e3, -1e3, 0], [1.2 * top, -1.2 * top, -top], 5.0)])
+    signals = {"turning": step_turning, "U_supply": 1e6}
+    return chain_case(part, signals, loads(tau - part.p.J * alpha, omega, alpha), edges)
+
+
 def gearbox_case(part, gear, seed):
     rng = random(seed)
     ratio = part.p.ratios[gear - 1]
@@ -241,6 +255,32 @@ def coupler_case(part, seed, **signals):
     return junction_case(part, x, Shaft(*ca.vertsplit(x)), {}, step_signals(**signals), inside, loads([0, 1, -1], 0, [0, 1, -1]))
 
 
+def planetary_case(part, seed):
+    """Return the case of a planetary gear whose engine gives what it is asked for; the load and the engine's point are free."""
+    x = ca.SX.sym("x", 6)  # torque, speed and acceleration of the ring, then of the carrier
+    ring, carrier = Shaft(*ca.vertsplit(x[:3])), Shaft(*ca.vertsplit(x[3:]))
+    rng = random(seed)
+    free = [rng.uniform(-300, 300, N), rng.uniform(0, 600, N), rng.uniform(-60, 60, N)]
+    free += [rng.uniform(-40, 100, N), rng.uniform(0, 420, N), rng.uniform(-200, 200, N)]
+    able = part.sun_of(ring, carrier).tau
+    signals = {"trace_missed": 0.0, "omega_reached": 0.0, "alpha_reached": 0.0, "tau_able": able}
+    return junction_case(part, x, ring, {"carrier": carrier}, signals, np.column_stack(free), np.zeros((1, 6)))
+
+
+def node_case(part, seed):
+    """Return the case of a node of two loads."""
+    x = ca.SX.sym("P", 2)
+    both = dict(zip(("load", "other"), map(Electric, ca.vertsplit(x)), strict=True))
+    way = part.required(**both)
+    back = part.available(offer(way["supply"]), way["_asked"])
+    plant, delivered = part.flow(**both)["supply"], [back[port].P for port in both]
+    points = random(seed).uniform(-5e4, 8e4, (N, 2))
+    return Case(
+        x, [P.P for P in both.values()], way["supply"], delivered, plant, plant, ca.SX(0), offer(way["supply"]).P, sum(delivered), ca.SX(0),
+        points, np.array([[0.0, 0.0], [-1.0, 1.0]]),
+    )  # fmt: skip
+
+
 def junction_case(part, x, load, offering, signals, inside, edges):
     """Return the case of a junction: all its sources give the same share of what they are asked for."""
     name, faces = part.load_port().name, {f.name: f for f in part.faces()}
@@ -251,14 +291,14 @@ def junction_case(part, x, load, offering, signals, inside, edges):
     known = {name: load, "dt": DT, **offering, **signals}
     known |= run(faces["required"], **known)
     sent = {}
-    for port in (port.name for port in part.asked_ports()):
+    for port in (port.name for port in part.asked_ports() if port.name not in offering):
         known |= run(faces[f"ask_{port}"], **known)
         sent[port] = known[port]
         known[port] = offer(sent[port])
     back = run(faces["available"], **known)
 
     def plant(**laws):
-        divided = {f"{port.kind._fields[0]}_{port.name}": sent[port.name][0] for port in part.asked_ports()[:-1]}
+        divided = {f"{port.kind._fields[0]}_{port.name}": known[port.name][0] for port in part.free_ports() if port.name in sent}
         (flow,) = (f for f in part.plant_faces() if f.name == "flow")
         points = run(flow, **{name: load, **offering, **signals, **divided, **laws})
         return [value for port in sent for value in points[port]]
@@ -320,6 +360,8 @@ def two_sided_cases(kind):
     for seed, name in enumerate(component_names(kind)):
         if kind in ("motor", "motor-thermal"):
             yield name, lambda n=name, s=seed: motor_case(component(n), s)
+        elif kind == "motor-generator":
+            yield name, lambda n=name, s=seed: motor_generator_case(component(n), s)
         elif kind.startswith("gearbox"):
             for gear in {1, len(component(name).p.ratios)}:
                 yield f"{name}-{gear}", lambda n=name, g=gear, s=seed: gearbox_case(component(n), g, s)
@@ -343,6 +385,9 @@ CASES |= {
     "gearbox-map-scaled": lambda: gearbox_case(component("five-speed-map", torque_scale=1.5, efficiency_scale=0.9, J=0.02), 2, 22),
     "final-drive-with-losses": lambda: final_drive_case(component("unity", i=3.7, tau_loss=2.0, J=0.01), 23),
     "accessories-with-both-loads": lambda: mechanical_case(component("mechanical-700w", tau_on=3.0, eta=0.8), 1.0),
+    "planetary-gear": lambda: planetary_case(component("planetary-78-30"), 7),
+    "electric-node": lambda: node_case(component("electric-node"), 9),
+    "priority-node": lambda: node_case(component("priority-node"), 8),
     "bus": lambda: bus_case(component("bus"), 0.0),
     "bus-with-generator": lambda: bus_case(component("bus"), 12e3),
     "torque-coupler": lambda: coupler_case(component("torque-coupler", n=1.7), 7),

@@ -100,15 +100,15 @@ class Battery:
         p, N, T, soc = self.p, self.p.n_modules, self.T, self.soc
         U_oc, R_in = self.U_oc(T, soc), self.R_in(T, soc)
         U_low = max(0.5 * U_oc, self.U_least, N * p.u_min)
-        self.P_max = max(0.0, (U_oc - U_low) * U_low / self.R_out(T, soc)) if soc > 1e-3 else 0.0
+        self.P_max = max(0.0, (U_oc - U_low) * U_low / self.R_out(T, soc)) if soc > p.soc_empty else 0.0
         self.I_min = min(0.0, (U_oc - N * p.u_max) / R_in)
-        self.P_min = self.I_min * (U_oc - self.I_min * R_in) if soc < 0.999 else 0.0
+        self.P_min = self.I_min * (U_oc - self.I_min * R_in) if soc < p.soc_full else 0.0
         return self.P_max, self.P_min
 
     def available(self, P_asked, dt):
         p, N = self.p, self.p.n_modules
         U_oc, R = self.U_oc(self.T, self.soc), self.R_out(self.T, self.soc) if P_asked >= 0 else self.R_in(self.T, self.soc)
-        P = 0.0 if self.soc >= 0.999 and P_asked < 0 else min(P_asked, self.P_max)
+        P = 0.0 if self.soc >= p.soc_full and P_asked < 0 else min(P_asked, self.P_max)
         # At half of U_oc, where the power is largest, rounding would decide on the root; the step keeps it above 1e-6 U_oc.
         root = math.sqrt(max(U_oc**2 - 4 * R * P, 1e-12 * U_oc**2))
         I = max(2 * P / (U_oc + root), self.I_min)  # noqa: E741
