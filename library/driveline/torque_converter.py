@@ -54,6 +54,8 @@ from halfshaft.library.engine.engine import Engine
 RATIO = Axis("speed_ratio", "1")
 #: Speed [rad/s] that rounds off (3) at standstill without torque.
 OMEGA_FLOOR = 1e-3
+#: Difference of speeds [rad/s] below which the slope of (4) fades: between two speeds so near it says nothing.
+GAP_FLOOR = 0.1
 
 
 def pump_table(nu: npt.NDArray[np.float64], factor: npt.NDArray[np.float64]) -> Table:
@@ -160,7 +162,7 @@ class TorqueConverter(TwoSided):
         def reached(tau: Expr) -> Expr:
             end = settled(tau)
             change = end - omega_own
-            c = ca.fmax((tau - tau_accessory - taken) * change, 0) / (change**2 + 1e-6)
+            c = ca.fmax((tau - tau_accessory - taken) * change, 0) / (change**2 + GAP_FLOOR**2)
             return ca.fmax((J_dt * omega_own + c * end) / (J_dt + c), omega_idle)
 
         # Full torque is that at the speed where the pump ends up, found from that at the present one.
@@ -191,7 +193,8 @@ class TorqueConverter(TwoSided):
         def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
             passes = sent.tau != 0
             tau = offered.tau * where(passes, asked.tau / where(passes, sent.tau, 1), 1)
-            return Shaft(where(clutch_open, 0, tau), where(geared, offered.omega, asked.omega), asked.alpha)
+            locked = ca.logic_and(geared, ca.logic_not(clutch_open))
+            return Shaft(where(clutch_open, 0, tau), where(locked, offered.omega, asked.omega), asked.alpha)
 
         return limit(cut), Link(law, back, name="oil", omega=turbine)
 

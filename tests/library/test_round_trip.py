@@ -15,6 +15,7 @@ import pytest
 from halfshaft.library.base.links import TwoSided, continuous
 from halfshaft.library.base.ports import Electric, Shaft, Tyre
 from halfshaft.library.driveline.clutch import Clutch
+from halfshaft.library.driveline.torque_converter import TorqueConverter
 from halfshaft.library.electric.battery import Battery
 from halfshaft.library.electric.motor import OMEGA_OFF
 from halfshaft.library.electric.store import SOC_EMPTY
@@ -89,7 +90,7 @@ def chain_case(part, signals, inside, edges):
     def plant(**laws):
         known = {**signals, **laws, load.name: point}
         (flow,) = (f for f in part.plant_faces() if source.name in f.gives)
-        if isinstance(part, Clutch):
+        if isinstance(part, Clutch | TorqueConverter):
             # Its plant face is a friction pair; the chain stands for itself.
             return continuous(part.chain(**needed), point)[0]
         return flow.run(**{n: known[n] for n in flow.takes if n in known})[source.name]
@@ -158,6 +159,46 @@ def clutch_case(part, slipping):
     signals = {"clutch_open": 0.0, "clutch_slipping": float(slipping), "omega_launch": launch, "engine": engine}
     edges = loads([0, engine.tau_largest, -engine.tau_largest, 1e4], [0, 0, launch, launch], 0.0)
     return chain_case(part, signals, loads(tau, rng.uniform(lowest, highest, N), rng.uniform(-50, 50, N)), edges)
+
+
+def converter_case(part, geared, seed):
+    rng, engine, own = random(seed), component("si-41kw"), 250.0
+    signals = {
+        "geared": float(geared), "clutch_open": 0.0, "engine": engine, "omega_own": own, "omega_idle": 80.0, "dt": DT, "trace_missed": 0.0,
+        "speed_ratio": 0.0, "omega_before": 0.0, "ratio": 3.0, "tau_accessory_before": 2.0,
+    }  # fmt: skip
+    # Stall, drive, equal speeds and overrun, between what the engine gives with closed and with full throttle.
+    omega = np.append(rng.uniform(0, 400, N - 20), np.zeros(20))
+    tau = rng.uniform(-100, 150, N)
+    if not geared:
+        ends = [[float(part.torques(p, w)[1]) for p in part.reach(engine, w, own, 80.0, 2.0, DT)] for w in omega]
+        tau = np.array([low + (high - low) * share for (low, high), share in zip(ends, rng.uniform(1e-3, 1 - 1e-3, N), strict=True)])
+        # Below idling speed the pump would turn too slowly.
+        kept = np.array([float(part.omega_pump(t, w)) for t, w in zip(tau, omega, strict=True)]) > 80.0
+        tau, omega = tau[kept], omega[kept]
+        assert len(tau) > 0.8 * N
+    edges = loads([0, 0, 50, -50, 1e4, -1e4], [0, 250, 0, 250, 0, 400], 0.0)
+    return chain_case(part, signals, loads(tau, omega, rng.uniform(-50, 50, len(tau))), edges)
+
+
+def cvt_case(part, ratio, seed):
+    rng = random(seed)
+    omega = np.append(rng.uniform(0, 600, N - 20) / ratio, np.zeros(20))
+    inside = loads(rng.uniform(-130, 100, N) * ratio, omega, rng.uniform(-50, 50, N))
+    return chain_case(part, step_signals(ratio=ratio), inside, loads([0, 0, 1, -1, 500, -500], [0, 50, 0, 0, 100, 100], 0.0))
+
+
+def axle_case(part):
+    rng = random(10)
+    inside = loads(rng.uniform(-3e3, 3e3, N), rng.uniform(0, 150, N), rng.uniform(-20, 20, N))
+    return chain_case(part, step_signals(), inside, loads([0, 1], 0, 0))
+
+
+def divider_case(part, share):
+    x = ca.SX.sym("x", 3)
+    rng = random(11)
+    inside = loads(rng.uniform(-3e3, 3e3, N), rng.uniform(0, 150, N), rng.uniform(-20, 20, N))
+    return junction_case(part, x, Shaft(*ca.vertsplit(x)), {}, {"share_front": share}, inside, loads([0, 1], 0, 0))
 
 
 def mechanical_case(part, engine_on):
@@ -248,13 +289,6 @@ def bus_case(part, generator):
     )
 
 
-def coupler_case(part, seed, **signals):
-    rng = random(seed)
-    x = ca.vertcat(*(ca.SX.sym(f) for f in Shaft._fields))
-    inside = loads(rng.uniform(-200, 200, N), np.append(rng.uniform(0, 600, N - 20), np.zeros(20)), rng.uniform(-50, 50, N))
-    return junction_case(part, x, Shaft(*ca.vertsplit(x)), {}, step_signals(**signals), inside, loads([0, 1, -1], 0, [0, 1, -1]))
-
-
 def planetary_case(part, seed):
     """Return the case of a planetary gear whose engine gives what it is asked for; the load and the engine's point are free."""
     x = ca.SX.sym("x", 6)  # torque, speed and acceleration of the ring, then of the carrier
@@ -281,6 +315,13 @@ def node_case(part, seed):
     )  # fmt: skip
 
 
+def coupler_case(part, seed, **signals):
+    rng = random(seed)
+    x = ca.vertcat(*(ca.SX.sym(f) for f in Shaft._fields))
+    inside = loads(rng.uniform(-200, 200, N), np.append(rng.uniform(0, 600, N - 20), np.zeros(20)), rng.uniform(-50, 50, N))
+    return junction_case(part, x, Shaft(*ca.vertsplit(x)), {}, step_signals(**signals), inside, loads([0, 1, -1], 0, [0, 1, -1]))
+
+
 def junction_case(part, x, load, offering, signals, inside, edges):
     """Return the case of a junction: all its sources give the same share of what they are asked for."""
     name, faces = part.load_port().name, {f.name: f for f in part.faces()}
@@ -288,7 +329,7 @@ def junction_case(part, x, load, offering, signals, inside, edges):
     def run(face, **known):
         return face.run(**{n: known[n] for n in face.takes if n in known})
 
-    known = {name: load, "dt": DT, **offering, **signals}
+    known = {name: load, "dt": DT, **offering, **signals, **{f"_sent_{port}": point for port, point in offering.items()}}
     known |= run(faces["required"], **known)
     sent = {}
     for port in (port.name for port in part.asked_ports() if port.name not in offering):
@@ -370,6 +411,14 @@ def two_sided_cases(kind):
         elif kind == "clutch":
             for slipping in (0, 1):
                 yield f"{name}-{'slipping' if slipping else 'engaged'}", lambda n=name, s=slipping: clutch_case(component(n), s)
+        elif kind == "torque-converter":
+            for locked in (0, 1):
+                yield f"{name}-{'locked' if locked else 'open'}", lambda n=name, k=locked, s=seed: converter_case(component(n), k, s)
+        elif kind == "cvt":
+            for ratio in (component(name).p.ratios[0], 6.0):
+                yield f"{name}-{ratio:g}", lambda n=name, r=ratio, s=seed: cvt_case(component(n), r, s)
+        elif kind == "axle":
+            yield name, lambda n=name: axle_case(component(n))
         elif kind == "mechanical-accessories":
             for on in (0.0, 1.0):
                 yield f"{name}-{on:g}", lambda n=name, on=on: mechanical_case(component(n), on)
@@ -385,6 +434,9 @@ CASES |= {
     "gearbox-map-scaled": lambda: gearbox_case(component("five-speed-map", torque_scale=1.5, efficiency_scale=0.9, J=0.02), 2, 22),
     "final-drive-with-losses": lambda: final_drive_case(component("unity", i=3.7, tau_loss=2.0, J=0.01), 23),
     "accessories-with-both-loads": lambda: mechanical_case(component("mechanical-700w", tau_on=3.0, eta=0.8), 1.0),
+    "converter-scaled": lambda: converter_case(component("four-speed-automatic-converter", capacity_scale=0.37), 0, 12),
+    "cvt-scaled": lambda: cvt_case(component("cvt-50kw", efficiency_scale=0.9, torque_scale=1.2, speed_scale=0.8, J=0.02), 3.5, 13),
+    "axle-divider": lambda: divider_case(component("axle-divider"), 0.57),
     "planetary-gear": lambda: planetary_case(component("planetary-78-30"), 7),
     "electric-node": lambda: node_case(component("electric-node"), 9),
     "priority-node": lambda: node_case(component("priority-node"), 8),

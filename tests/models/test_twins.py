@@ -182,6 +182,12 @@ CVT = {
 TWO_MOTOR = {
     "half the pack": ELECTRIC["half the pack"],
     "full": ELECTRIC["full"],
+    "hot": ELECTRIC["hot"],
+    "weak in all": {
+        "motor_front.U_min": 300.0, "wheel.F_brake_front_max": 1500.0, "wheel.F_brake_rear_max": 300.0, "motor_front.I_max": 120.0,
+    },
+    "needs voltage at the rear": {"motor_rear.U_min": 300.0},
+    "polynomials": {f"gearbox_{axle}.{name}": c for axle in ("front", "rear") for name, c in (("c1", 0.9), ("c3", 0.3), ("c6", 150.0))},
     "few modules": {"battery.n_modules": 18.0, "battery.u_min": 11.2, "battery.soc_start": 0.5},
     "weak at the rear": {"motor_rear.torque_scale": 0.3, "motor_front.I_max": 80.0, "motor_front.efficiency_scale": 0.9},
     "weak at the front": {"motor_front.torque_scale": 0.3, "motor_rear.I_max": 60.0, "motor_rear.efficiency_scale": 0.9},
@@ -208,8 +214,8 @@ FLEET = [
     ("small-car-series", {}, {"as it is": {}} | WEAK | SERIES),
     ("small-car-series-follower", {}, {"as it is": {}, "gives and takes": SERIES["starts empty"] | {"control.t_off_min": 5.0}}),
     ("paper-series-1459", {}, POLYNOMIAL),
-    ("small-car-automatic", {}, {name: CHASSIS[name] for name in ("as it is", "on ice", "draggy")} | MAPPED | AUTOMATIC),
-    ("small-car-cvt", {}, {name: CHASSIS[name] for name in ("as it is", "on ice")} | CVT),
+    ("small-car-automatic", {}, {name: CHASSIS[name] for name in ("as it is", "on ice", "weak brakes", "draggy")} | MAPPED | AUTOMATIC),
+    ("small-car-cvt", {}, {name: CHASSIS[name] for name in ("as it is", "on ice", "weak brakes")} | CVT),
     ("small-car-two-motor", {}, {name: CHASSIS[name] for name in ("as it is", "on ice, light at the rear")} | TWO_MOTOR),
 ]
 CARS = {
@@ -270,8 +276,11 @@ def test_a_heavy_generator_gets_its_torque_from_the_engine(car_of):
     assert result["generator.P_loss"].min() > -1e-6
 
 
-#: The cycle sets the first, the others are for reports only.
-WITHOUT_EFFECT = {"body.v_start", "motor.mass", "generator.mass", "engine.mass", "engine.rho_fuel"}
+#: The cycle sets the first, the axles tell the forward-facing model alone, the others are for reports only.
+WITHOUT_EFFECT = {
+    "body.v_start", "axle_front.rear", "axle_rear.rear", "motor_front.mass",
+    "motor_rear.mass", "motor.mass", "generator.mass", "engine.mass", "engine.rho_fuel",
+}  # fmt: skip
 
 
 def other_value(vehicle, name):

@@ -45,7 +45,7 @@ class TorqueConverter:
         """Return the speed at the end of a step in which the engine brings this torque, the accessories' taken off, to the pump."""
         end = clip(self.pump("pump", T, w), w_idle, engine.w_top)
         gap = end - engine.own
-        slope = max((T - self.torques(engine.own, w)[0]) * gap, 0.0) / (gap**2 + 1e-6)
+        slope = max((T - self.torques(engine.own, w)[0]) * gap, 0.0) / (gap**2 + 0.1**2)
         # Implicit: J (w - own) / dt = slope (end - w).
         return max((engine.J / dt * engine.own + slope * end) / (engine.J / dt + slope), w_idle)
 
@@ -71,7 +71,7 @@ class TorqueConverter:
 
     def available(self, T, w):
         T = 0.0 if self.is_open else T * (self.T_cut / self.T_p if self.T_p != 0 else 1.0)
-        w = w if self.locked else self.w
+        w = w if self.locked and not self.is_open else self.w
         self.seen |= {"converter.tau": T, "converter.omega": w}
         return T, w
 

@@ -142,7 +142,7 @@ def two_motor(parameters, samples):
     battery = Battery(p["battery"], max(p["motor_front"].U_min, p["motor_rear"].U_min))
     for v_request, grade, key_on, dt in steps(samples, road):
         T, w, alpha = road.required(v_request, grade, dt)
-        T_front = T * p["wheel"].front_driven * road.loads[0] / road.loads[2]
+        T_front = p["wheel"].front_driven * road.loads[0] / road.loads[2] * T
         asked = []
         for (final, gearbox, shift, motor), torque in zip(drives.values(), (T_front, T - T_front), strict=True):
             output = final.required(torque, w, alpha)
