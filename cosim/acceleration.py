@@ -56,6 +56,7 @@ def prepared(vehicle: Vehicle) -> Vehicle:
     """Return the vehicle as the 1999 routine sets it for this test."""
     tags, window = vehicle.tags, vehicle.tags.all_of("highest charge")
     values = dict.fromkeys(tags.all_of("shift time"), 0.2) | dict.fromkeys(tags.all_of("launch share"), 0.4)
+    values |= dict.fromkeys(tags.all_of("electric launch speed"), 0.0)
     if window:
         values |= dict.fromkeys(tags.all_of("start charge"), vehicle.values[window[0]])
     return vehicle.with_values(values)

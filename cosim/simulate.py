@@ -184,9 +184,9 @@ def _sampled(cycle: Cycle, dt: float, n_outputs: int, history: bool = True) -> S
 
 def _first(stepper: Stepper, parameters: Array, cycle: Cycle) -> dict[str, float]:
     """Return the time at the start, speed, charges and temperatures."""
-    start = stepper.first(parameters)
-    told = [d for d in stepper.step.outputs if d.state is not None and d.tag in ("speed", "charge", "temperature")]
-    return {"time": float(cycle.time[0]), **{d.name: float(start[d.state]) for d in told}}
+    start, places, tags = stepper.first(parameters).tolist(), stepper.step.state_index, stepper.step.tags
+    told = [name for tag in ("speed", "charge", "temperature") for name in tags.all_of(tag) if name in places]
+    return {"time": float(cycle.time[0]), **{name: start[places[name]] for name in told}}
 
 
 def _integrals(step: Step, rows: Array, samples: Samples) -> dict[str, float]:

@@ -27,14 +27,14 @@ class Rule(Parameters):
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...] | None]
 
+    @classmethod
+    def lacks(cls) -> bool:
+        """Return whether it cannot go by what a vehicle's file leaves out."""
+        return any(f.default is MISSING for f in fields(cls))
+
     def __call__(self, sets: Sets) -> Any:
         """Return the value; `sets` are the parameters by the rule's own names for the parts."""
         raise NotImplementedError
-
-    @classmethod
-    def lacks(cls) -> bool:
-        """Return whether it has numbers that only a vehicle can give."""
-        return any(f.default is MISSING for f in fields(cls))
 
 
 @dataclass(frozen=True, kw_only=True)

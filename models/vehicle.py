@@ -104,7 +104,7 @@ class Vehicle:
         """Test mass [kg]."""
         return self.values[self.tags.the("vehicle mass")]
 
-    @property
+    @cached_property
     def tags(self) -> Tags:
         """What the numbers are, by ``role.parameter``."""
         return _tags(tuple((role, type(p)) for role, p in self.parameters.items()))

@@ -7,6 +7,7 @@ for them, and so finds any number of engines, fuel cells, motors and batteries, 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Literal, Protocol, TypeAlias, get_args
 
 from halfshaft.library.base.errors import InputError, nearest
@@ -37,6 +38,7 @@ Tag: TypeAlias = Literal[
     "shift time",
     "hold time",
     "launch share",
+    "electric launch speed",
     # Of what burns or converts fuel.
     "fuel mass",
     "fuel density",
@@ -86,9 +88,17 @@ class Tags(dict[str, str]):
         """Return the tags of what is described."""
         return cls({d.name: d.tag for group in described for d in group if d.tag})
 
+    # Each run asks for a dozen of them.
+    @cached_property
+    def _names(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for name, tag in self.items():
+            found.setdefault(tag, []).append(name)
+        return found
+
     def all_of(self, tag: Tag) -> list[str]:
         """Return all names with a tag."""
-        return [name for name, given in self.items() if given == tag]
+        return self._names.get(tag, [])
 
     def by_part(self, tag: Tag) -> dict[str, str]:
         """Return the names with a tag, by their part."""

@@ -38,7 +38,7 @@ from halfshaft.library.engine.engine import Engine
 class MildControlParameters(Parameters):
     """Window of the state of charge, thresholds and slopes."""
 
-    soc_high: float = param("1", "state of charge above which the machine does not charge", 0.8, ge=1e-3, le=1)
+    soc_high: float = param("1", "state of charge above which the machine does not charge", 0.8, ge=1e-3, le=1, tag="highest charge")
     soc_assist: float = param("1", "state of charge below which the machine helps less", 0.355, ge=0, le=1)
     soc_low: float = param("1", "state of charge below which it does not help and the engine is not stopped", 0.2, ge=0, le=0.999)
     tau_assist: float = param("N.m", "torque above which the machine helps", 25.0, ge=0, le=1e4)
@@ -54,7 +54,9 @@ class MildControlParameters(Parameters):
     P_alternator: float = param("W", "power taken from the crankshaft for the accessories", 0.0, ge=0, le=1e6)
     v_decel: float = param("m/s", "speed below which the engine is off while no torque is asked for", 4.5, ge=0, le=1e3)
     omega_idle: float = param("rad/s", "idling speed", 94.0, ge=1, le=1e4)
-    launch_share: float = param("1", "launch speed over the engine's highest; at least 1.5 times idling speed", 0.2, ge=1e-3, le=0.999)
+    launch_share: float = param(
+        "1", "launch speed over the engine's highest; at least 1.5 times idling speed", 0.2, ge=1e-3, le=0.999, tag="launch share"
+    )
     open_when_braking: float = param("1", "1 if the clutch opens whenever no torque is asked for", 0.0, ge=0, le=1)
 
     relations = (

@@ -47,15 +47,21 @@ NEAR_TOP = 0.95
 class ParallelControlParameters(Parameters):
     """Window of the state of charge, speeds and switches."""
 
-    soc_high: float = param("1", "upper end of the window of the state of charge", 0.7, ge=1e-3, le=1)
+    soc_high: float = param("1", "upper end of the window of the state of charge", 0.7, ge=1e-3, le=1, tag="highest charge")
     soc_low: float = param("1", "lower end of the window", 0.6, ge=0, le=0.999)
-    v_launch_low: float = param("m/s", "speed below which the car drives electrically, at soc_low", 0.0, ge=0, le=1e3)
-    v_launch_high: float = param("m/s", "speed below which the car drives electrically, from soc_high on", 0.0, ge=0, le=1e3)
+    v_launch_low: float = param(
+        "m/s", "speed below which the car drives electrically, at soc_low", 0.0, ge=0, le=1e3, tag="electric launch speed"
+    )
+    v_launch_high: float = param(
+        "m/s", "speed below which the car drives electrically, from soc_high on", 0.0, ge=0, le=1e3, tag="electric launch speed"
+    )
     v_decel: float = param("m/s", "speed below which the engine is off while no torque is asked for", 0.0, ge=0, le=1e3)
     min_share: float = param("1", "least engine torque below soc_low over the largest at the speed", 0.4, ge=0, le=1)
     charge_depleting: float = param("1", "1 to use the battery up before the engine charges it", 0.0, ge=0, le=1)
     omega_idle: float = param("rad/s", "idling speed; the engine is off below it", 0.0, ge=0, le=1e4)
-    launch_share: float = param("1", "launch speed over the engine's highest; at least 1.5 times idling speed", 1 / 6, ge=1e-3, le=0.999)
+    launch_share: float = param(
+        "1", "launch speed over the engine's highest; at least 1.5 times idling speed", 1 / 6, ge=1e-3, le=0.999, tag="launch share"
+    )
     idle_at_stop: float = param("1", "1 if the engine idles at stops, 0 if it is switched off", 0.0, ge=0, le=1)
     open_when_braking: float = param("1", "1 if the clutch opens whenever no torque is asked for", 1.0, ge=0, le=1)
 

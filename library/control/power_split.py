@@ -11,8 +11,9 @@ In each step, with the power ``P`` that the ring is asked for:
 6. its torque is no more than the generator can hold.
 
 The engine counts as hot: the original waits for the coolant before it stops the engine.  The rotor's power is reckoned over
-`t_inertia` at least, which is the original's step; over shorter ones the command would swing from end to end.  An engine slows
-down no faster than closed throttle lets it and the generator's rotor, so that steps may be as short as one likes.
+`t_inertia` at least, which is the original's step; over shorter ones the command would swing from end to end.  An engine
+speeds up and slows down no faster than its torque and closed throttle let both rotors, its own and the generator's, so that steps
+may be as short as one likes.
 
 While a search looks for the best end speed the engine keeps the power that the first request asked for, and its being on: so
 the search moves the motor alone, and what is lost at a limit is not lost once more by an engine that follows it.
@@ -148,8 +149,8 @@ class PowerSplitControl(Component):
         omega = best(P + omega * engine.p.J * (omega - omega_own) / ca.fmax(dt, p.t_inertia))
         omega = where(full, highest, ca.fmax(clip(omega, lowest, highest), p.omega_lowest))
         J = engine.p.J + generator.p.J * gear.omega_sun(1, 0) ** 2
-        slowest = omega_own + dt * engine.tau_closed(omega_own) / ca.fmax(J, 1e-6)
-        omega = ca.fmax(where(on, omega, 0), slowest)
+        slowest, fastest = (omega_own + dt * tau(omega_own) / ca.fmax(J, 1e-6) for tau in (engine.tau_closed, engine.tau_max))
+        omega = clip(where(on, omega, 0), slowest, fastest)
         held = generator.tau_envelope(ca.fabs(gear.omega_sun(omega, omega_ring_turning))) / (1 - gear.share)
         highest = ca.fmin(engine.tau_max(omega), held)
         tau = where(full, highest, ca.fmin(P / ca.fmax(omega, p.omega_lowest), highest))

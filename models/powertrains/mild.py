@@ -1,8 +1,9 @@
 """Mild hybrid: a machine on the crankshaft helps the engine, starts it, and makes the electricity on board."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import Powertrain
+from halfshaft.models.powertrain import Derived, Powertrain
 from halfshaft.models.powertrains import parallel
+from halfshaft.models.rules import SumOfParts
 
 ROLES = {**parallel.ROLES, "coupler": ("crankshaft-coupler",), "control": ("mild-control",)}
 
@@ -17,4 +18,4 @@ def connect(m: Model) -> None:
     m.bind("motor", wheel=None, shift=None)
 
 
-mild = Powertrain("mild", "mild hybrid", ROLES, connect)
+mild = Powertrain("mild", "mild hybrid", ROLES, connect, (Derived("body.m", (SumOfParts,)),))

@@ -2,7 +2,7 @@
 
 from halfshaft.models.model import Model
 from halfshaft.models.powertrain import Derived, Powertrain
-from halfshaft.models.rules import TogetherAtTop
+from halfshaft.models.rules import SumOfParts, TogetherAtTop
 
 ROLES = {
     "body": ("body",),
@@ -30,4 +30,6 @@ def connect(m: Model) -> None:
     m.bind("shift", machine="engine")
 
 
-parallel = Powertrain("parallel", "parallel hybrid", ROLES, connect, (Derived("coupler.n", (TogetherAtTop,)),))
+parallel = Powertrain(
+    "parallel", "parallel hybrid", ROLES, connect, (Derived("body.m", (SumOfParts,)), Derived("coupler.n", (TogetherAtTop,)))
+)

@@ -3,7 +3,7 @@
 from halfshaft.models.model import Model
 from halfshaft.models.powertrain import Derived, Powertrain
 from halfshaft.models.powertrains import parallel
-from halfshaft.models.rules import CouplerTopSpeed
+from halfshaft.models.rules import CouplerTopSpeed, SumOfParts
 
 
 def connect(m: Model) -> None:
@@ -16,5 +16,6 @@ def connect(m: Model) -> None:
 
 
 parallel_post = Powertrain(
-    "parallel_post", "parallel hybrid, motor behind the gearbox", parallel.ROLES, connect, (Derived("coupler.n", (CouplerTopSpeed,)),)
+    "parallel_post", "parallel hybrid, motor behind the gearbox", parallel.ROLES, connect,
+    (Derived("body.m", (SumOfParts,)), Derived("coupler.n", (CouplerTopSpeed,))),
 )  # fmt: skip

@@ -10,7 +10,8 @@ from halfshaft.library.base.errors import CompileError, InputError, SolveError
 from halfshaft.models.vehicle import Vehicle
 
 CARS = (
-    "small-car-electric", "small-car-series", "small-car-conventional", "small-car-fuel-cell", "small-car-fuel-cell-polarisation"
+    "small-car-electric", "small-car-series", "small-car-conventional", "small-car-fuel-cell", "small-car-fuel-cell-polarisation",
+    "small-car-power-split",
 )  # fmt: skip
 # Compiler, flags and arithmetic are the same, so the results are; the bound leaves room for other compilers.
 TOLERANCE = {"rtol": 1e-12, "atol": 1e-12}

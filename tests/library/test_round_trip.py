@@ -315,6 +315,13 @@ def node_case(part, seed):
     )  # fmt: skip
 
 
+def coupler_case(part, seed, **signals):
+    rng = random(seed)
+    x = ca.vertcat(*(ca.SX.sym(f) for f in Shaft._fields))
+    inside = loads(rng.uniform(-200, 200, N), np.append(rng.uniform(0, 600, N - 20), np.zeros(20)), rng.uniform(-50, 50, N))
+    return junction_case(part, x, Shaft(*ca.vertsplit(x)), {}, step_signals(**signals), inside, loads([0, 1, -1], 0, [0, 1, -1]))
+
+
 def junction_case(part, x, load, offering, signals, inside, edges):
     """Return the case of a junction: all its sources give the same share of what they are asked for."""
     name, faces = part.load_port().name, {f.name: f for f in part.faces()}
@@ -322,7 +329,7 @@ def junction_case(part, x, load, offering, signals, inside, edges):
     def run(face, **known):
         return face.run(**{n: known[n] for n in face.takes if n in known})
 
-    known = {name: load, "dt": DT, **offering, **signals}
+    known = {name: load, "dt": DT, **offering, **signals, **{f"_sent_{port}": point for port, point in offering.items()}}
     known |= run(faces["required"], **known)
     sent = {}
     for port in (port.name for port in part.asked_ports() if port.name not in offering):
@@ -435,6 +442,12 @@ CASES |= {
     "priority-node": lambda: node_case(component("priority-node"), 8),
     "bus": lambda: bus_case(component("bus"), 0.0),
     "bus-with-generator": lambda: bus_case(component("bus"), 12e3),
+    "torque-coupler": lambda: coupler_case(component("torque-coupler", n=1.7), 7),
+    "torque-coupler-with-drag": lambda: coupler_case(component("torque-coupler", n=0.8, tau_loss=2.0), 8),
+    "crankshaft-coupler": lambda: coupler_case(component("crankshaft-coupler"), 9, tau_machine=12.0, clutch_open=0.0),
+    "crankshaft-coupler-with-drag": lambda: coupler_case(
+        component("crankshaft-coupler", n=1.4, tau_loss=0.5), 10, tau_machine=-5.0, clutch_open=0.0
+    ),
     "body-without-drag": lambda: body_case("small-car", 24, c_d=0.0),
     "rear-wheels": lambda: wheel_case("small-car-wheels", "small-car", 25, front_driven=0.0, rear_driven=1.0),
     "all-wheels": lambda: wheel_case("small-car-wheels", "small-car", 26, rear_driven=1.0),

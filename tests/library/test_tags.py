@@ -24,13 +24,27 @@ def test_the_one_must_be_one(tag, found):
         TAGS.the(tag)
 
 
+def tags_of(cls):
+    """Return all tags of a component."""
+    found = {v.tag for v in cls.variables} | {s.tag for s in cls.states} | {s.tag for s, _ in cls.plant_states}
+    found |= {tag for port in cls.ports().values() for tag in port.tags.values()}
+    return found | {spec_of(f).tag for f in fields(cls.parameters)}
+
+
 def test_every_word_is_used_by_a_component_and_no_other():
-    used = set()
-    for cls in component_kinds().values():
-        used |= {v.tag for v in cls.variables} | {s.tag for s in cls.states} | {s.tag for s, _ in cls.plant_states}
-        used |= {tag for port in cls.ports().values() for tag in port.tags.values()}
-        used |= {spec_of(f).tag for f in fields(cls.parameters)}
-    assert used == set(get_args(Tag))
+    assert set().union(*map(tags_of, component_kinds().values())) == set(get_args(Tag))
+
+
+@pytest.mark.parametrize("kind", component_kinds())
+def test_what_a_component_books_and_limits_can_be_told_of(kind):
+    cls = component_kinds()[kind]
+    bookings = {v.booking for v in cls.variables}
+    if "fuel" in bookings:
+        assert tags_of(cls) >= {"fuel mass", "fuel density", "fuel heating value"}
+    if "stored" in bookings:
+        assert tags_of(cls) >= {"charge", "start charge"}
+        assert cls.parameters.ratings is not Parameters.ratings
+    assert all(v.warning for v in cls.variables if v.kind == "flag" and v.name.endswith("limited"))
 
 
 def test_a_part_is_rated_at_nothing_unless_it_says_so():

@@ -13,6 +13,7 @@ VEHICLES = {
     "series": "small-car-series-follower",
     "conventional": "small-car-conventional",
     "fuel cell": "small-car-fuel-cell",
+    "power split": "small-car-power-split",
     "fuel cell by polarisation": "small-car-fuel-cell-polarisation",
 }
 UDDS = Cycle.load("udds").sampled(1.0)

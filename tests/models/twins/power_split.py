@@ -1,8 +1,8 @@
 """The power split: planetary gear, generator that turns both ways, control, and the node of its two machines.
 
 Departures from the original that halfshaft documents: the generator's torque counts at the ring, and what its envelope leaves
-open the motor makes up for; the engine's torque is no more than the generator holds; it slows down no faster than closed throttle
-lets both rotors; after a missed trace the sun and the engine's limits follow what the ring has reached.
+open the motor makes up for; the engine's torque is no more than the generator holds; it changes its speed no faster than its own torques
+let both rotors; after a missed trace the sun and the engine's limits follow what the ring has reached.
 """
 
 from .chassis import Road
@@ -92,7 +92,7 @@ class Control:
         w_2 = self.best(asked + w_1 * engine.p.J * (w_1 - engine.own) / max(dt, p.t_inertia))
         w_c = fastest if full else max(clip(w_2, slowest, fastest), p.omega_lowest)
         J = max(engine.p.J + generator.p.J * ((r + s) / s) ** 2, 1e-6)
-        w_c = max(w_c if self.on else 0.0, engine.own + dt * engine.T_closed(engine.own) / J)
+        w_c = clip(w_c if self.on else 0.0, *(engine.own + dt * T(engine.own) / J for T in (engine.T_closed, engine.T_max)))
 
         w_sun = ((r + s) * w_c - r * w_turning) / s
         most = min(engine.T_max(w_c), generator.T_top(abs(w_sun)) * (r + s) / s)
