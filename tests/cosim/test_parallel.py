@@ -97,8 +97,8 @@ def test_only_a_motor_behind_the_gearbox_pulls_while_a_gear_is_changed(name, pul
 
 @every_car
 @pytest.mark.parametrize("mu", [0.1, 0.3])
-def test_in_the_forward_facing_model_the_motor_gives_way_where_the_tyres_slip(name, mu):
-    # Two machines at one limit: without a rule the balances of both would be the same.
+def test_in_the_forward_facing_model_two_machines_share_what_the_tyres_hold(name, mu):
+    # At one limit the balances of both would be the same.
     launch = Cycle(name="launch", time=np.array([0.0, 1.0, 1.001, 12.0, 12.001, 16.0]), speed=np.array([0.0, 0.0, 30.0, 30.0, 0.0, 0.0]))
     result = run(vehicle_of(name).with_values({"wheel.mu_max": mu}), launch, via="forward")
     p = vehicle_of(name).values
