@@ -12,7 +12,13 @@ from halfshaft.models.vehicle import Vehicle
 
 vehicle_of = cache(Vehicle.load)
 UDDS, US06 = Cycle.load("udds"), Cycle.load("us06")
-CARS = ("small-car-parallel", "small-car-parallel-balanced", "small-car-parallel-post", "small-car-plug-in-parallel", "small-car-mild-hybrid")
+CARS = (
+    "small-car-parallel",
+    "small-car-parallel-balanced",
+    "small-car-parallel-post",
+    "small-car-plug-in-parallel",
+    "small-car-mild-hybrid",
+)
 every_car = pytest.mark.parametrize("name", CARS)
 
 
