@@ -16,6 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import casadi as ca
+
 from halfshaft.library.base.component import From, Signal, face
 from halfshaft.library.base.expressions import Turning, where
 from halfshaft.library.base.junction import Junction, shared_speed
@@ -106,6 +108,11 @@ class CrankshaftCoupler(_Coupler):
         return output._replace(tau=output.tau - tau_machine)
 
     def ask_motor(self, output: Shaft, engine: Shaft, clutch_open: Expr) -> Shaft:
-        """Return equations (1) and (2) for the machine; behind an open clutch nothing says how fast the shaft gains speed."""
-        n = self.p.n
-        return Shaft(self.rest(output, engine), n * engine.omega, where(clutch_open, 0, n * output.alpha))
+        """Return equations (1) and (2) for the machine.
+
+        Behind an open clutch nothing says how fast the shaft gains speed.  Where the engine is at its top speed the machine does
+        not drive it beyond.
+        """
+        n, tau = self.p.n, self.rest(output, engine)
+        beyond = ca.logic_and(ca.logic_not(clutch_open), output.omega - engine.omega > 1e-6)
+        return Shaft(where(beyond, ca.fmin(tau, 0), tau), n * engine.omega, where(clutch_open, 0, n * output.alpha))
