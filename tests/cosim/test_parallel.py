@@ -90,10 +90,10 @@ def test_the_machine_of_a_mild_hybrid_starts_its_engine():
     starts = np.flatnonzero((np.diff(on) > 0) & (result["engine.omega_engine"][:-1] == 0)) + 1
     assert len(starts) > 10
     assert np.all(result["motor.P_in"][starts] > 0)
-    # The rotor takes at least what the machine gives at the crankshaft.
+    # A good part of what the rotor takes comes from the machine, up to its largest torque; the rest is the engine's own.
     taken = J * result["engine.omega_engine"][starts] / 0.1
     given = result["control.tau_machine"][starts]
-    assert np.all(given > 0.3 * taken)
+    assert np.all(given > 0.2 * taken)
     assert np.all(given <= taken * (1 + 1e-12))
 
 
