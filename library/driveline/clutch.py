@@ -52,7 +52,7 @@ class Clutch(TwoSided):
         From("engine", Machine, along=("input",)),
         From("engine", omega_engine="rad/s"),
         From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
-        From("coupler", optional=True, tau_beside="N.m"),
+        From("coupler", optional=True, grip_forgiven="1"),
         From("coupler", optional=True, tau_machine_largest="N.m"),
     )
 
@@ -106,14 +106,14 @@ class Clutch(TwoSided):
         tau_grip_out: Expr,
         tau_grip_in: Expr,
         tau_command: Expr | None = None,
-        tau_beside: Expr = 0.0,
+        grip_forgiven: Expr = 0.0,
         tau_machine_largest: Expr = 0.0,
     ) -> Mapping[str, Any]:
         """Return the torque of the friction pair in continuous time: capacity times a smooth function of the slip speed.
 
         Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for.
         It is less while the engine is below its launch speed, or engaged below its idling speed, so that it is not stalled.
-        The tyres' grip cuts what passes; a motor beside the clutch gives way first.
+        The tyres' grip cuts what passes; beside a motor on the same shaft it forgives a share of what the clutch lacks.
         """
         largest = engine.tau_largest + tau_machine_largest
         asked = tau_clutch if tau_command is None else tau_command
@@ -122,8 +122,8 @@ class Clutch(TwoSided):
         bite = clip((omega_engine - low) / ca.fmax(full - low, 1), 0, 1)
         capacity = bite * where(clutch_slipping, clip(asked, 0, largest), CAPACITY * largest)
         tau = where(clutch_open, 0, capacity) * ca.tanh((omega_engine - output.omega) / OMEGA_SLIP)
-        more = ca.fmax(tau_grip_out + ca.fmax(tau_beside, 0), -output.tau)
-        less = ca.fmin(-tau_grip_in - ca.fmax(-tau_beside, 0), -output.tau)
+        more = ca.fmax(tau_grip_out + grip_forgiven * (tau - output.tau), -output.tau)
+        less = ca.fmin(-tau_grip_in - grip_forgiven * (output.tau - tau), -output.tau)
         return {
             "input": Shaft(output.tau, omega_engine, 0.0),
             "P_loss": output.tau * (omega_engine - output.omega),

@@ -276,9 +276,9 @@ class Engine(Component, Machine):
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the engine's motion in continuous time.
 
-        Geared to the wheels, or against a converter, it follows the throttle, and a governor keeps it from falling
-        below idling speed.  Else a governor holds the commanded speed: the load's torque, plus one in proportion to the
-        error.  The torque fades over the last half per cent below the top speed.
+        Geared to the wheels, or against a converter, it follows the throttle, and a governor keeps it from falling below
+        idling speed.  Else a governor holds the commanded speed: the load's torque, plus one in proportion to the error.  The
+        torque fades over the last half per cent below the top speed.
         """
         fade = clip((1 - omega_engine / self.omega_max) / FADE, 0, 1)
         closed, highest = self.tau_closed(omega_engine) * turning(omega_engine), fade * self.tau_max(omega_engine)
