@@ -1,0 +1,102 @@
+"""Cars with a torque converter, with a continuous ratio, and with a motor on each axle."""
+
+import numpy as np
+import pytest
+
+from halfshaft import Cycle, InputError, Vehicle, accelerate, run
+from halfshaft.cosim.simulate import parameters_of, stepper_of
+from halfshaft.fmu_build.code import compiled_tables
+from halfshaft.library.base.tables import Table
+from halfshaft.library.driveline.torque_converter import TorqueConverterParameters
+from halfshaft.library.files.component_file import read_component
+from halfshaft.models.assembly import assemble
+
+CARS = ("small-car-automatic", "small-car-cvt", "small-car-two-motor")
+UDDS, US06 = Cycle.load("udds"), Cycle.load("us06")
+
+
+@pytest.mark.parametrize("name", CARS)
+def test_the_compiled_step_has_the_bits_of_the_virtual_machine(name):
+    vehicle = Vehicle.load(name)
+    compiled, step = stepper_of(vehicle), assemble(vehicle.model(), functions=compiled_tables)
+    parameters, speeds = parameters_of(vehicle, compiled.step), US06.sampled(1.0).v
+    memory = compiled.first(parameters)
+    for k in range(150):
+        request = np.array([speeds[k], 0.02 * np.sin(k / 9), float(k < 120), 1.0, 0.0])
+        following, outputs = compiled(memory, request, parameters)
+        expected = [np.array(x).ravel() for x in step.function(memory, request, parameters)]
+        assert np.array_equal(following, expected[0])
+        assert np.array_equal(outputs, expected[1])
+        memory = following
+
+
+# The converter's car and equal motors under equal loads are one model in both; a continuous ratio is held between samples.
+@pytest.mark.parametrize(
+    ("name", "parts", "values", "apart"),
+    [
+        ("small-car-automatic", {}, {}, 2e-3),
+        ("small-car-cvt", {}, {"engine.J": 0.01}, 5e-3),
+        ("small-car-two-motor", {"motor_rear": "pm-32kw"}, {"body.front_share": 0.5, "body.h": 1e-3}, 2e-3),
+    ],
+)
+def test_refined_acceleration_is_that_of_the_forward_facing_model(name, parts, values, apart):
+    car = Vehicle.load(name).with_parts(parts).with_values(values)
+    forward = accelerate(car, via="forward", duration=30.0)
+    assert accelerate(car).time == pytest.approx(forward.time, rel=apart)
+    assert abs(forward.result.figures["balance_relative"]) < 1e-6
+
+
+def test_an_idling_engine_turns_its_pump_against_the_stalled_turbine():
+    result = run(Vehicle.load("small-car-automatic"), UDDS)
+    stands = (result["body.v"] == 0) & (result["body.v_mean"] == 0)
+    converter = Vehicle.load("small-car-automatic").parameters["converter"]
+    omega = result["engine.omega_engine"][stands]
+    pump = converter.capacity_scale * converter.capacity.values[0] * omega**2
+    # The law is rounded off at standstill, by a thousandth of a radian a second.
+    np.testing.assert_allclose(result["accessories.tau"][stands], pump, rtol=1e-8)
+    # The brakes hold what the turbine creeps; nothing moves.
+    np.testing.assert_allclose(result["converter.tau"][stands], converter.torque_ratio.values[0] * pump, rtol=1e-8)
+    assert not result.audit.failures
+
+
+def test_a_locked_converter_loses_nothing_and_locks_in_the_gears_that_may():
+    result = run(Vehicle.load("small-car-automatic"), Cycle.load("hwfet"))
+    locked = result["shift.geared"] == 1
+    assert 0.1 < locked.mean() < 1
+    assert set(result["shift.gear"][locked]) == {4.0}
+    np.testing.assert_allclose(result["converter.P_loss"][locked], 0, atol=1e-9)
+    assert result["converter.P_loss"][~locked].max() > 1e3
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "said"),
+    [(0, 0.0, "must begin at a speed ratio of 0"), (5, 0.001, "must fall from each point to the next"), (-1, 1e-3, "must fall")],
+)
+def test_a_converter_whose_pump_does_not_follow_from_its_torque_is_refused(at, value, said):
+    p = read_component("four-speed-automatic-converter").parameters
+    values = p.capacity.values.copy()
+    values[at] = value
+    with pytest.raises(InputError, match=said):
+        TorqueConverterParameters(capacity=Table.of(*p.capacity.points, values=values, clip=False), torque_ratio=p.torque_ratio)
+
+
+def test_loads_of_a_node_bear_a_shortage_and_a_surplus_in_proportion():
+    node = read_component("electric-node")
+    part = node.component(node.parameters)
+    asked = part.required(*(type(part).ports()["load"].kind(P) for P in (30e3, 10e3)))["_asked"]
+    kind = type(part).ports()["load"].kind
+    short = part.available(kind(20e3), asked)
+    assert [float(short[name].P) for name in ("load", "other")] == pytest.approx([15e3, 5e3])
+    mixed = part.available(kind(15e3), (30e3, -10e3))
+    assert [float(mixed[name].P) for name in ("load", "other")] == pytest.approx([25e3, -10e3])
+    full = part.available(kind(-5e3), (-15e3, -5e3))
+    assert [float(full[name].P) for name in ("load", "other")] == pytest.approx([-3.75e3, -1.25e3])
+
+
+def test_each_axle_brings_its_share_of_the_load():
+    result = run(Vehicle.load("small-car-two-motor"), UDDS)
+    body = Vehicle.load("small-car-two-motor").parameters["body"]
+    a = np.diff(result["body.v"], prepend=0.0)
+    share = body.front_share - body.h / body.wheelbase * a / body.g
+    drives = result["body.v_mean"] > 0
+    np.testing.assert_allclose(result["axle_front.tau"][drives] / result["divider.tau"][drives], share[drives], rtol=1e-9)
