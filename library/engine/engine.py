@@ -123,6 +123,7 @@ class Engine(Component, Machine):
         From("clutch", optional=True, geared="1"),
         From("accessories", optional=True, tau_accessory_before="N.m"),
         From("shift", optional=True, ratio="1"),
+        From("shift", optional=True, ratio_change="1"),
         From("generator", optional=True, J_shaft="kg.m^2"),
         From("gear", optional=True, along=("shaft",), braked="1"),
     )
@@ -211,6 +212,7 @@ class Engine(Component, Machine):
     def torque(
         self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
         v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr | None = None, braked: Expr = 0.0,
+        ratio_change: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equations (1) to (3)."""
         omega, closed, open_throttle = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
@@ -221,8 +223,9 @@ class Engine(Component, Machine):
         rotor = 0 if J_shaft is None else J_shaft * (1 / dt) * change
         driven = shaft.tau if J_shaft is None else ca.fmax(shaft.tau, rotor)
         asked = where(ca.logic_or(geared, braked), shaft.tau, where(clutch_open, shaft.tau + rotor, driven))
-        # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
-        gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
+        # What the vehicle gains in speed in this step, at the engine, and a continuous ratio; nothing behind a slipping clutch.
+        gain = 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9) + ratio_change * shaft.omega
+        gain = where(clutch_slipping, 0, gain)
         J_alpha = J_dt * where(geared, gain, change)
         needed = asked + J_alpha
         share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, rotor))

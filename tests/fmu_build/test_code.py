@@ -9,7 +9,10 @@ from halfshaft.cosim.simulate import stepper_of
 from halfshaft.fmu_build.code import step_code
 
 
-@pytest.mark.parametrize("vehicle", ["small-car-electric", "small-car-conventional", "small-car-series", "small-car-power-split"])
+CARS = ("electric", "conventional", "series", "power-split", "automatic", "cvt", "two-motor")
+
+
+@pytest.mark.parametrize("vehicle", [f"small-car-{car}" for car in CARS])
 def test_flags_choose_and_are_no_factors(vehicle):
     code = step_code(stepper_of(Vehicle.load(vehicle)).step)
     flags = re.findall(r"const int (\w+) = ", code)
