@@ -8,7 +8,6 @@ from halfshaft import Vehicle
 from halfshaft.cosim.simulate import stepper_of
 from halfshaft.fmu_build.code import step_code
 
-
 CARS = ("electric", "conventional", "series", "power-split", "automatic", "cvt", "two-motor")
 
 
