@@ -118,3 +118,13 @@ def test_in_the_forward_facing_model_two_machines_share_what_the_tyres_hold(name
     highest = mu * p["body.g"] * p["body.front_share"] / (1 + mu * p["body.h"] / p["body.wheelbase"])
     assert a.max() < highest * 1.001
     assert abs(result.account.balance_relative) < 1e-6
+
+
+def test_the_forward_facing_model_accelerates_more_slowly_by_what_the_engine_s_rotor_takes_between_gears():
+    # After a change of gear the plant's clutch must slow the engine down first; with a light rotor both models agree.
+    gaps = []
+    for J in (0.1, 0.002):
+        car = vehicle_of("small-car-parallel").with_values({"engine.J": J})
+        gaps.append(accelerate(car, via="forward", duration=20).time / accelerate(car).time - 1)
+    assert gaps[0] == pytest.approx(0.037, abs=0.01)
+    assert abs(gaps[1]) < 0.01
