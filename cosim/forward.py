@@ -32,6 +32,8 @@ SHORTEST = 1e-6
 Z_MOST = 1e6
 #: Steps of Newton's method for the unknowns, the shortest share of a step, and when they are found: change and balance, relative.
 NEWTON_STEPS, SHORTEST_SHARE, Z_EXACT, BALANCED = 50, 1e-3, 1e-11, 1e-6
+#: How far from where they were the unknowns are looked for where they jump, and what counts as a jump, relative.
+KICKS, JUMP = (0.3, -0.3, 3.0, -3.0), 1e-4
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class Forward:
         self._motion = [places.index(the(tag)) for tag in ("speed", "distance", "elevation")]
         x, z, p, alg = (self.plant.dae[name] for name in ("x", "z", "p", "alg"))
         self._rates = ca.Function("rates", [x, z, p], [self.plant.dae["ode"]])
+        self._powers = ca.Function("powers", [x, z, p], [self.plant.dae["quad"]])
         self._balance = ca.Function("balance", [z, x, p], [alg, ca.jacobian(alg, z)])
         # IDAS starts from rates of zero.  Seen from a frame that moves with the rates of the start they are zero, so that it
         # can begin at the solution and need not search for it.
@@ -162,6 +165,11 @@ class Forward:
         except RuntimeError as error:
             _interrupt(said)
             if span < SHORTEST:
+                end, gained = x + rates * span, np.array(self._powers(x, z, p)).ravel() * span
+                over = self._balanced(end, z, p, t)
+                if np.abs(over - z).max() > JUMP * max(1.0, np.abs(z).max()):
+                    # Balances that fold back: the unknowns jump from one of their edges to the other, and the motion goes on.
+                    return end, over, gained
                 raise self._error(x, t, str(error).splitlines()[-1]) from None
             middle, z, first = self._interval(x, z, p, t, span / 2)
             end, z, second = self._interval(middle, z, p, t + span / 2, span / 2)
@@ -174,6 +182,9 @@ class Forward:
         z = self._newton(guess, x, p, 0.0)
         if z is None:
             z = self._led(x, guess, p)
+        for kick in KICKS if z is None else ():
+            if (z := self._newton(guess + kick, x, p, 0.0)) is not None:
+                break
         if z is None or not np.all(np.abs(z) < Z_MOST):
             raise self._error(x, t, "no acceleration balances the commands")
         return z

@@ -126,8 +126,10 @@ class Junction(Component):
             reached = [given[port] for port in given if port not in made_up]
             joined = _called(self.join, {load: _split} | x)
             # Where all sources give what they were asked for, so does the joint, to the last bit; what one of them did not give,
-            # those that saw its offer were asked for.
+            # those that saw its offer were asked for, unless they must not make it up.
             whole = reached[0] if len(reached) == 1 else ca.logic_and(*reached) if len(reached) == 2 else ca.logic_all(ca.vertcat(*reached))
+            if made_up:
+                whole = ca.logic_and(whole, ca.fabs(joined[0] - _split[0]) <= 1e-9 * (1 + ca.fabs(_split[0])))
             joint = joined._replace(**{joined._fields[0]: where(whole, _split[0], joined[0])})
             delivered, books = homeward(_way, joint, dt)
             surplus = sum(x[port].P for port in sources if port in x) - joint.P

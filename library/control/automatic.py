@@ -38,13 +38,16 @@ class AutomaticControl(Component):
         Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
         Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
     )
-    signals = (Signal("omega_idle", "rad/s", "idling speed"),)
+    signals = (
+        Signal("omega_idle", "rad/s", "idling speed"),
+        Signal("pedalled", "1", "whether the engine follows the throttle also where it is not geared to the wheels"),
+    )
     reads = (From("converter", omega_pump="rad/s"), From("engine", Machine, along=("converter", "input")))
 
-    @face("omega_idle")
+    @face("omega_idle", "pedalled")
     def law(self) -> Mapping[str, Any]:
-        """Publish the idling speed."""
-        return {"omega_idle": self.p.omega_idle}
+        """Publish the idling speed, and that a pedal drives the engine, not a governor."""
+        return {"omega_idle": self.p.omega_idle, "pedalled": 1.0}
 
     @face("clutch_open")
     def neutral(self, key_on: Expr) -> Mapping[str, Any]:

@@ -41,10 +41,14 @@ class CvtControl(Component):
     kind = "cvt-control"
     p: CvtControlParameters
     parameters = CvtControlParameters
-    states = (State("ratio_before", "1", "ratio of the previous step", decision=True),)
+    states = (
+        State("ratio_before", "1", "ratio of the previous step", decision=True),
+        State("change_before", "1", "change of the ratio in the previous step", decision=True),
+    )
     variables = (Variable("ratio", "1", "ratio of input speed to output speed", signal=True),)
     signals = (
         Signal("omega_input_estimate", "rad/s", "input speed at this ratio"),
+        Signal("ratio_change", "1", "change of the ratio in this step over the ratio"),
         Signal("shifting", "1", "whether a shift is under way: never"),
     )
     reads = (
@@ -55,17 +59,17 @@ class CvtControl(Component):
 
     def start(self, ratios: tuple[Expr, ...]) -> Mapping[str, Any]:  # type: ignore[override]
         """Return the start value: the highest ratio."""
-        return {"ratio_before": ratios[0]}
+        return {"ratio_before": ratios[0], "change_before": 0.0}
 
     @face("shifting")
     def law(self) -> Mapping[str, Any]:
         """Say that there are no shifts."""
         return {"shifting": 0.0}
 
-    @face("ratio", "omega_input_estimate", "next_ratio_before")
+    @face("ratio", "ratio_change", "omega_input_estimate", "next_ratio_before", "next_change_before")
     def control(
         self, tau_gearbox: Expr, omega_gearbox: Expr, torque_ratio: Expr, ratios: tuple[Expr, ...], omega_own: Expr, ratio_before: Expr,
-        dt: Expr, decided: Expr, tau_accessory_before: Expr = 0.0,
+        change_before: Expr, dt: Expr, decided: Expr, tau_accessory_before: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Choose the ratio for this step."""
         eta = where(torque_ratio > 0, torque_ratio, ETA_START)
@@ -73,4 +77,11 @@ class CvtControl(Component):
         wanted = clip(self.p.omega_locus(P) / ca.fmax(omega_gearbox, 1e-3), ratios[-1], ratios[0])
         most = 1 + self.p.rate * dt
         ratio = where(decided, ratio_before, clip(wanted, ratio_before / most, ratio_before * most))
-        return {"ratio": ratio, "omega_input_estimate": omega_gearbox * ratio, "next_ratio_before": ratio}
+        change = where(decided, change_before, 1 - ratio_before / ratio)
+        return {
+            "ratio": ratio,
+            "ratio_change": change,
+            "omega_input_estimate": omega_gearbox * ratio,
+            "next_ratio_before": ratio,
+            "next_change_before": change,
+        }

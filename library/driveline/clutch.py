@@ -1,9 +1,9 @@
 """Friction clutch between gearbox and engine: open, slipping or engaged.
 
 Torque passes unchanged, open none.  The engine is asked for all of it, and cuts it by its own law; what it gives passes
-up to its largest torque.  A control of a hybrid may ask the engine for another torque than the wheels do.  While slipping,
-the engine is asked for the launch speed and the power ``tau (omega_in - omega_out)`` is lost.  The control says which state
-holds.
+up to its largest torque, and that of a machine on its shaft.  A control of a hybrid may ask the engine for another torque
+than the wheels do.  While slipping, the engine is asked for the launch speed and the power ``tau (omega_in - omega_out)``
+is lost.  The control says which state holds.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ class Clutch(TwoSided):
         From("engine", Machine, along=("input",)),
         From("engine", omega_engine="rad/s"),
         From("wheel", tau_grip_out="N.m", tau_grip_in="N.m"),
-        From("coupler", optional=True, tau_beside="N.m"),
+        From("coupler", optional=True, grip_forgiven="1"),
+        From("coupler", optional=True, tau_machine_largest="N.m"),
     )
 
     @face("geared")
@@ -66,9 +67,16 @@ class Clutch(TwoSided):
         return {"tau_clutch": output.tau, "omega_clutch": output.omega}
 
     def chain(  # type: ignore[override]
-        self, clutch_open: Expr, clutch_slipping: Expr, omega_launch: Expr, engine: Machine, tau_command: Expr | None = None
+        self,
+        clutch_open: Expr,
+        clutch_slipping: Expr,
+        omega_launch: Expr,
+        engine: Machine,
+        tau_command: Expr | None = None,
+        tau_machine_largest: Expr = 0.0,
     ) -> tuple[Link, ...]:
         """Return the torque that passes and the speed behind the clutch."""
+        largest = engine.tau_largest + tau_machine_largest
 
         def cut(load: Shaft) -> Shaft:
             return load._replace(tau=where(clutch_open, 0, load.tau if tau_command is None else tau_command))
@@ -79,8 +87,7 @@ class Clutch(TwoSided):
         def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
             parted = ca.logic_or(clutch_open, clutch_slipping)
             # A clutch that slips at launch turns faster at the engine: it can only drive.
-            lowest = where(clutch_slipping, 0, -engine.tau_largest)
-            tau = where(clutch_open, 0, clip(offered.tau, lowest, engine.tau_largest))
+            tau = where(clutch_open, 0, clip(offered.tau, where(clutch_slipping, 0, -largest), largest))
             return Shaft(tau, where(parted, asked.omega, offered.omega), asked.alpha)
 
         return (limit(cut), Link(law, back))
@@ -99,22 +106,24 @@ class Clutch(TwoSided):
         tau_grip_out: Expr,
         tau_grip_in: Expr,
         tau_command: Expr | None = None,
-        tau_beside: Expr = 0.0,
+        grip_forgiven: Expr = 0.0,
+        tau_machine_largest: Expr = 0.0,
     ) -> Mapping[str, Any]:
         """Return the torque of the friction pair in continuous time: capacity times a smooth function of the slip speed.
 
         Engaged, the capacity is above the engine's largest torque; slipping, it is the torque that the control asks for.
         It is less while the engine is below its launch speed, or engaged below its idling speed, so that it is not stalled.
-        The tyres' grip cuts what passes; a motor beside the clutch gives way first.
+        The tyres' grip cuts what passes; beside a motor on the same shaft it forgives a share of what the clutch lacks.
         """
+        largest = engine.tau_largest + tau_machine_largest
         asked = tau_clutch if tau_command is None else tau_command
         low = BITE * omega_idle
         full = where(clutch_slipping, omega_launch, omega_idle)
         bite = clip((omega_engine - low) / ca.fmax(full - low, 1), 0, 1)
-        capacity = bite * where(clutch_slipping, clip(asked, 0, engine.tau_largest), CAPACITY * engine.tau_largest)
+        capacity = bite * where(clutch_slipping, clip(asked, 0, largest), CAPACITY * largest)
         tau = where(clutch_open, 0, capacity) * ca.tanh((omega_engine - output.omega) / OMEGA_SLIP)
-        more = ca.fmax(tau_grip_out + ca.fmax(tau_beside, 0), -output.tau)
-        less = ca.fmin(-tau_grip_in - ca.fmax(-tau_beside, 0), -output.tau)
+        more = ca.fmax(tau_grip_out + grip_forgiven * (tau - output.tau), -output.tau)
+        less = ca.fmin(-tau_grip_in - grip_forgiven * (output.tau - tau), -output.tau)
         return {
             "input": Shaft(output.tau, omega_engine, 0.0),
             "P_loss": output.tau * (omega_engine - output.omega),

@@ -16,13 +16,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from halfshaft.library.base.component import From, Signal, face, plant
+import casadi as ca
+
+from halfshaft.library.base.component import From, Signal, face
 from halfshaft.library.base.expressions import Turning, where
 from halfshaft.library.base.junction import Junction, shared_speed
-from halfshaft.library.base.links import Link, continuous, drag
+from halfshaft.library.base.links import Link, drag
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Expr, Port, Shaft
 from halfshaft.library.electric.motor import Motor
+
+#: Where the tyres slip, neither clutch nor motor knows which of both gives way; this share of what each lacks decides it.
+FORGIVEN = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,12 +73,12 @@ class TorqueCoupler(_Coupler):
     """Coupler on a shaft toward the wheels."""
 
     kind = "torque-coupler"
-    signals = (*_Coupler.signals, Signal("tau_beside", "N.m", "torque that comes to the shaft from the motor"))
+    signals = (*_Coupler.signals, Signal("grip_forgiven", "1", "share of a missing torque that the balance of each side forgives the grip"))
 
-    @plant("tau_beside")
-    def beside(self, output: Shaft, tau_engine: Expr, turning: Turning) -> Mapping[str, Any]:
-        """Publish what the motor gives in continuous time, which gives way before the engine where the tyres slip."""
-        return {"tau_beside": continuous(self.chain(turning), output)[0].tau - tau_engine}
+    @face("n_motor", "grip_forgiven")
+    def law(self) -> Mapping[str, Any]:
+        """Publish the motor's ratio, and how both sides share what the tyres hold."""
+        return {"n_motor": self.p.n, "grip_forgiven": FORGIVEN}
 
     def ask_engine(self, output: Shaft) -> Shaft:
         """Return all that is required."""
@@ -103,6 +108,11 @@ class CrankshaftCoupler(_Coupler):
         return output._replace(tau=output.tau - tau_machine)
 
     def ask_motor(self, output: Shaft, engine: Shaft, clutch_open: Expr) -> Shaft:
-        """Return equations (1) and (2) for the machine; behind an open clutch nothing says how fast the shaft gains speed."""
-        n = self.p.n
-        return Shaft(self.rest(output, engine), n * engine.omega, where(clutch_open, 0, n * output.alpha))
+        """Return equations (1) and (2) for the machine.
+
+        Behind an open clutch nothing says how fast the shaft gains speed.  Where the engine is at its top speed the machine does
+        not drive it beyond.
+        """
+        n, tau = self.p.n, self.rest(output, engine)
+        beyond = ca.logic_and(ca.logic_not(clutch_open), output.omega - engine.omega > 1e-6)
+        return Shaft(where(beyond, ca.fmin(tau, 0), tau), n * engine.omega, where(clutch_open, 0, n * output.alpha))

@@ -128,6 +128,7 @@ class Motor(TwoSided, Machine):
         From("battery", U="V", P_room_out="W", P_room_in="W"),
         From("wheel", optional=True, tau_grip_out="N.m", tau_grip_in="N.m"),
         From("node", optional=True, along=("dc",), forgiven="1"),
+        From("coupler", optional=True, along=("shaft",), grip_forgiven="1"),
     )
     estimates = True
 
@@ -232,17 +233,19 @@ class Motor(TwoSided, Machine):
     def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
         tau_grip_out: Expr = ca.inf, tau_grip_in: Expr = ca.inf, forgiven: Expr = 0.0,
+        grip_forgiven: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 
         The torque fades over the last half per cent below the top speed.
         """
-        room = P_room_out, P_room_in, U, tau_grip_out, tau_grip_in, forgiven
+        room = P_room_out, P_room_in, U, tau_grip_out, tau_grip_in, forgiven, grip_forgiven
         return {"balance": self.short(_tau, ca.fabs(_omega), _P, throttle_motor, *room)}
 
     def short(
         self, tau: Expr, omega: Expr, P: Expr, throttle: Expr, P_out: Expr, P_in: Expr, U: Expr,
         tau_out: Expr = ca.inf, tau_in: Expr = ca.inf, forgiven: Expr = 0.0,
+        grip_forgiven: Expr = 0.0,
     ) -> Expr:  # fmt: skip
         """Return how much torque the machine gives beyond `tau`, at a throttle and with room for power and torque out and in."""
         lowest, highest = self.limits(omega)
@@ -252,8 +255,10 @@ class Motor(TwoSided, Machine):
         scale = ca.fmax(omega, 10)
         P_max = self.p.I_max * U
         # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
-        # Where several machines meet the limit of one store, all balances would be the same; each forgives it a share of what it lacks.
+        # Where several machines meet the limit of one store, or of the tyres, all balances would be the same; each forgives it a share
+        # of what it lacks.
         out, into = P_out + forgiven * scale * (given - tau), P_in + forgiven * scale * (tau - given)
+        tau_out, tau_in = tau_out + grip_forgiven * (given - tau), tau_in + grip_forgiven * (tau - given)
         more = ca.fmax(ca.fmin(ca.fmin(out, P_max - P) / scale, tau_out), -tau)
         less = ca.fmin(-ca.fmin(ca.fmin(into, P_max + P) / scale, tau_in), -tau)
         return ca.fmax(ca.fmin(given - tau, more), less)

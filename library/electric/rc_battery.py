@@ -46,6 +46,7 @@ class RCBatteryParameters(StoreParameters):
     r_terminal: Table = table("ohm", "resistance at the terminals (R_t)", TEMPERATURE, CHARGE, clip=True, gt=0)
 
     relations = (
+        *StoreParameters.relations,
         Relation(
             lambda p: len(p.u_oc.points) == 2 and bool(np.any(np.diff(p.u_oc.values, axis=1) <= 0)),
             "u_oc must rise with the state of charge, at each temperature",

@@ -60,7 +60,9 @@ class StoreParameters(Parameters):
     R_th_still: float = param("K/W", "thermal resistance of a module to the air without fan", ge=1e-3, le=1e3)
     airflow: float = param("kg/s", "air flow of the fan at a module", ge=1e-6, le=10)
 
-    relations = (Relation(lambda p: p.soc_empty >= p.soc_full, "soc_empty = {soc_empty:g} must be below soc_full = {soc_full:g}"),)
+    relations: ClassVar[tuple[Relation, ...]] = (
+        Relation(lambda p: p.soc_empty >= p.soc_full, "soc_empty = {soc_empty:g} must be below soc_full = {soc_full:g}"),
+    )
 
     rated: ClassVar[tuple[Rated, ...]] = (Rated("E", "J", "energy of the full pack", "capacity_scale", lambda p: p.ratings()["energy"]),)
 

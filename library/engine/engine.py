@@ -117,11 +117,13 @@ class Engine(Component, Machine):
     reads = (
         From("control", omega_command="rad/s", engine_on="1", omega_idle="rad/s", clutch_open="1"),
         From("control", optional=True, clutch_slipping="1"),
+        From("control", optional=True, pedalled="1"),
         From("body", v="m/s", trace_missed="1", speed_ratio="1"),
         From("wheel", v_limited="m/s"),
         From("clutch", optional=True, geared="1"),
         From("accessories", optional=True, tau_accessory_before="N.m"),
         From("shift", optional=True, ratio="1"),
+        From("shift", optional=True, ratio_change="1"),
         From("generator", optional=True, J_shaft="kg.m^2"),
         From("gear", optional=True, along=("shaft",), braked="1"),
     )
@@ -210,6 +212,7 @@ class Engine(Component, Machine):
     def torque(
         self, shaft: Shaft, omega_engine: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, dt: Expr, omega_own: Expr,
         v: Expr, v_limited: Expr, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr | None = None, braked: Expr = 0.0,
+        ratio_change: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the torque that the engine gives, equations (1) to (3)."""
         omega, closed, open_throttle = omega_engine, self.tau_closed(omega_engine), self.tau_max(omega_engine)
@@ -220,8 +223,9 @@ class Engine(Component, Machine):
         rotor = 0 if J_shaft is None else J_shaft * (1 / dt) * change
         driven = shaft.tau if J_shaft is None else ca.fmax(shaft.tau, rotor)
         asked = where(ca.logic_or(geared, braked), shaft.tau, where(clutch_open, shaft.tau + rotor, driven))
-        # What the vehicle gains in speed in this step, at the engine; nothing behind a slipping clutch.
-        gain = where(clutch_slipping, 0, 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9))
+        # What the vehicle gains in speed in this step, at the engine, and a continuous ratio; nothing behind a slipping clutch.
+        gain = 2 * shaft.omega * (v_limited - v) / ca.fmax(v_limited, 1e-9) + ratio_change * shaft.omega
+        gain = where(clutch_slipping, 0, gain)
         J_alpha = J_dt * where(geared, gain, change)
         needed = asked + J_alpha
         share = where(geared, asked * highest / ca.fmax(needed, 1e-9), ca.fmax(highest - J_alpha, rotor))
@@ -268,13 +272,13 @@ class Engine(Component, Machine):
     @plant("shaft", "der_omega_engine", "tau_map", "speed_limited", "P_kinetic")
     def turn(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
-        clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, J_shaft: Expr = 0.0,
+        clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, pedalled: Expr = 0.0, J_shaft: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the engine's motion in continuous time.
 
-        Geared to the wheels it follows the throttle, and a governor keeps it from falling below idling speed.  Else a
-        governor holds the commanded speed: the load's torque, plus one in proportion to the error.  The torque fades over
-        the last half per cent below the top speed.
+        Geared to the wheels, or against a converter, it follows the throttle, and a governor keeps it from falling below
+        idling speed.  Else a governor holds the commanded speed: the load's torque, plus one in proportion to the error.  The
+        torque fades over the last half per cent below the top speed.
         """
         fade = clip((1 - omega_engine / self.omega_max) / FADE, 0, 1)
         closed, highest = self.tau_closed(omega_engine) * turning(omega_engine), fade * self.tau_max(omega_engine)
@@ -283,7 +287,7 @@ class Engine(Component, Machine):
         def governed(omega: Expr) -> Expr:
             return clip(shaft.tau + J / GOVERNOR_TIME * (omega - omega_engine), closed, highest)
 
-        by_throttle = ca.logic_and(geared, ca.logic_not(ca.logic_or(clutch_open, clutch_slipping)))
+        by_throttle = ca.logic_and(ca.logic_or(geared, pedalled), ca.logic_not(ca.logic_or(clutch_open, clutch_slipping)))
         idling = clip((omega_idle - omega_engine) / GOVERNOR_BAND, 0, 1)
         pedal = closed + ca.fmax(throttle_engine, idling) * (highest - closed)
         tau = where(engine_on, where(by_throttle, pedal, governed(omega_command)), closed)

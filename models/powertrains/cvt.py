@@ -1,9 +1,8 @@
 """Conventional car with a continuous ratio between clutch and wheels."""
 
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import Derived, Powertrain
+from halfshaft.models.powertrain import Powertrain
 from halfshaft.models.powertrains import conventional
-from halfshaft.models.rules import SumOfParts
 
 ROLES = {**conventional.ROLES, "gearbox": ("cvt",), "shift": ("cvt-control",)}
 
@@ -13,4 +12,4 @@ def connect(m: Model) -> None:
     conventional.connect(m)
 
 
-cvt = Powertrain("cvt", "conventional car with a continuous ratio", ROLES, connect, (Derived("body.m", (SumOfParts,)),))
+cvt = Powertrain("cvt", "conventional car with a continuous ratio", ROLES, connect, conventional.conventional.derived)

@@ -8,7 +8,7 @@ ROLES = {
     "body": ("body",),
     "wheel": ("wheel",),
     "final_drive": ("final-drive",),
-    "gear": ("planetary-gear",),
+    "planetary": ("planetary-gear",),
     "engine": ("engine",),
     "motor": ("motor",),
     "generator": ("motor-generator",),
@@ -21,9 +21,9 @@ ROLES = {
 
 def connect(m: Model) -> None:
     """Connect the parts from the wheel to the sources."""
-    m.chain("body", "wheel", "final_drive", "gear.carrier", "engine")
-    m.chain("gear.motor", "motor", "node.load", "accessories", "battery")
-    m.chain("gear.sun", "generator", "node.other")
+    m.chain("body", "wheel", "final_drive", "planetary.carrier", "engine")
+    m.chain("planetary.motor", "motor", "node.load", "accessories", "battery")
+    m.chain("planetary.sun", "generator", "node.other")
 
 
 power_split = Powertrain("power_split", "power split hybrid", ROLES, connect, (Derived("body.m", (SumOfParts,)),))

@@ -36,9 +36,10 @@ def connect(m: Model) -> None:
     m.chain("node", "accessories", "bus.battery", "battery")
 
 
-RATIOS = (
-    Derived(f"gearbox_{axle}.ratios", (TopSpeed,), {"motor": f"motor_{axle}", "final_drive": f"final_drive_{axle}"}) for axle in AXLES
-)
 two_motor = Powertrain(
-    "two_motor", "battery electric car with a motor on each axle", ROLES, connect, (Derived("body.m", (SumOfParts,)), *RATIOS)
+    "two_motor", "battery electric car with a motor on each axle", ROLES, connect,
+    (
+        Derived("body.m", (SumOfParts,)),
+        *(Derived(f"gearbox_{a}.ratios", (TopSpeed,), {"motor": f"motor_{a}", "final_drive": f"final_drive_{a}"}) for a in AXLES),
+    ),
 )  # fmt: skip

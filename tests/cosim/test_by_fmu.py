@@ -11,7 +11,7 @@ from halfshaft.models.vehicle import Vehicle
 
 CARS = (
     "small-car-electric", "small-car-series", "small-car-conventional", "small-car-fuel-cell", "small-car-fuel-cell-polarisation",
-    "small-car-power-split",
+    "small-car-power-split", "small-car-automatic", "small-car-cvt", "small-car-two-motor",
 )  # fmt: skip
 # Compiler, flags and arithmetic are the same, so the results are; the bound leaves room for other compilers.
 TOLERANCE = {"rtol": 1e-12, "atol": 1e-12}

@@ -8,8 +8,10 @@ from halfshaft import Vehicle
 from halfshaft.cosim.simulate import stepper_of
 from halfshaft.fmu_build.code import step_code
 
+CARS = ("electric", "conventional", "series", "power-split", "automatic", "cvt", "two-motor")
 
-@pytest.mark.parametrize("vehicle", ["small-car-electric", "small-car-conventional", "small-car-series", "small-car-power-split"])
+
+@pytest.mark.parametrize("vehicle", [f"small-car-{car}" for car in CARS])
 def test_flags_choose_and_are_no_factors(vehicle):
     code = step_code(stepper_of(Vehicle.load(vehicle)).step)
     flags = re.findall(r"const int (\w+) = ", code)

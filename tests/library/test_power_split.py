@@ -14,7 +14,7 @@ from halfshaft.models.vehicle import Vehicle
 
 CAR = Vehicle.load("small-car-power-split")
 PARTS = CAR.components()
-NODE, GEAR, GENERATOR = PARTS["node"], PARTS["gear"], PARTS["generator"]
+NODE, GEAR, GENERATOR = PARTS["node"], PARTS["planetary"], PARTS["generator"]
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ class Control:
     def __init__(self, dt=1.0, **values):
         parts = CAR.with_values({f"control.{name}": x for name, x in values.items()}).components()
         self.part, self.dt, self.own = parts["control"], dt, 0.0
-        self.known = {"gear": parts["gear"], "engine": parts["engine"], "generator": parts["generator"], "key_on": 1.0, "dt": dt}
+        self.known = {"gear": parts["planetary"], "engine": parts["engine"], "generator": parts["generator"], "key_on": 1.0, "dt": dt}
         self.state = {name: float(x) for name, x in self.part.start().items()}
 
     def step(self, P, omega=100.0, v=5.0, soc=0.6, decided=0.0, U=300.0):

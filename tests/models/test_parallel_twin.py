@@ -59,7 +59,7 @@ BALANCED = {
 }
 MILD = {
     "as it is": {},
-    "short of charge": {"battery.soc_start": 0.24, "battery.capacity_scale": 0.3, "electric_accessories.P_on": 1500.0},
+    "short of charge": {"battery.soc_start": 0.22, "battery.capacity_scale": 0.3, "electric_accessories.P_on": 1500.0},
     "full": {"battery.soc_start": 0.82, "control.v_decel": 9.0},
     "helps much": {
         "control.tau_assist": 8.0, "control.a_assist": -1.0, "control.v_assist": 0.0, "control.share_low": 0.5, "control.share_high": 0.9,

@@ -17,7 +17,7 @@ CARS = {
     "slow generator": {"generator.speed_scale": 0.7, "generator.torque_scale": 0.6, "generator.efficiency_scale": 0.9, "generator.J": 0.05},
     "weak motor": {"motor.torque_scale": 0.6, "motor.speed_scale": 0.8, "motor.J": 0.06, "motor.overtorque": 1.1},
     "scaled engine": {"engine.speed_scale": 0.8, "engine.torque_scale": 1.3, "engine.efficiency_scale": 1.1, "engine.J": 0.3},
-    "another gear": {"gear.r": 60.0, "gear.s": 36.0, "final_drive.i": 4.3, "final_drive.tau_loss": 2.0, "final_drive.J": 0.02},
+    "another gear": {"planetary.r": 60.0, "planetary.s": 36.0, "final_drive.i": 4.3, "final_drive.tau_loss": 2.0, "final_drive.J": 0.02},
     "another control": {
         "control.P_on": 9000.0, "control.v_on": 20.0, "control.soc_on": 0.57, "control.t_off_min": 8.0, "control.soc_target": 0.65,
         "control.I_charge": 200.0, "control.eta_charge": 0.7, "control.P_full": 18e3, "control.omega_lowest": 140.0,
@@ -57,7 +57,7 @@ WITHOUT_EFFECT = {f"{role}.mass" for role in ("engine", "motor", "generator")} |
 
 def test_every_parameter_moves_what_is_compared():
     still = {
-        n for n in CAR.values if n.startswith(("gear.", "generator.", "engine.", "control.", "motor.", "battery.soc_"))
+        n for n in CAR.values if n.startswith(("planetary.", "generator.", "engine.", "control.", "motor.", "battery.soc_"))
     } - WITHOUT_EFFECT
     for car in CARS:
         base = CAR.with_values(CARS[car])

@@ -1,5 +1,7 @@
 """The compiled step of cars with other stores against the same vehicles by hand, and what every store must do in every powertrain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import twins.vehicles
@@ -7,7 +9,8 @@ from twins.fuel_cell import drive
 from twins.stores import store_of
 from twins.vehicles import TWINS, columns
 
-from halfshaft import Cycle, Vehicle, run
+from halfshaft import Cycle, InputError, Vehicle, run
+from halfshaft.library.base.tables import Table
 
 UDDS, US06 = Cycle.load("udds"), Cycle.load("us06")
 STORES = ("nimh-7ah-rc", "li-7ah-rc", "uc-2900f", "uc-3000f")
@@ -21,6 +24,7 @@ VALUES = {
         "battery.T_start": 309.0, "battery.T_ambient": 303.0, "battery.T_fan": 309.5, "battery.mass": 0.1, "battery.c_p": 500.0,
         "battery.R_th_fan": 0.2, "battery.R_th_still": 9.0, "battery.airflow": 0.002,
     },
+    "window of its own": {"battery.soc_empty": 0.55, "battery.soc_full": 0.72},
     "cold, few": {"battery.T_start": 270.0, "battery.T_ambient": 270.0, "battery.n_modules": 80.0},
 }  # fmt: skip
 
@@ -39,9 +43,8 @@ def by_hand(vehicle, samples):
     )
 
 
-@pytest.mark.parametrize("values", VALUES)
+@pytest.mark.parametrize(("car", "values"), [(CARS[0], values) for values in VALUES] + [(car, "as it is") for car in CARS[1:]])
 @pytest.mark.parametrize("store", STORES)
-@pytest.mark.parametrize("car", CARS)
 def test_compiled_step_is_the_car_by_hand(car, store, values, monkeypatch):
     monkeypatch.setattr(twins.vehicles, "Battery", store_of)
     vehicle = car_of(car, store, values)
@@ -91,3 +94,27 @@ def test_what_leaves_the_store_is_the_energy_of_its_capacitors(store):
     before = np.concatenate([[T], result["battery.T"][:-1]])
     energy = sum(size * np.array([C(float(x)) for x in before]) * (np.concatenate([[v_0], v[:-1]]) ** 2 - v**2) / 2 for C, v, v_0 in parts)
     np.testing.assert_allclose(result["battery.P_stored"], energy, rtol=1e-9, atol=1e-5)
+
+
+@pytest.mark.parametrize("store", ["nimh-7ah-rc", "uc-2900f"])
+def test_every_parameter_of_a_store_moves_what_is_compared(store):
+    still = {n for n in car_of(CARS[0], store).values if n.startswith("battery.")}
+    for values in VALUES:
+        base = car_of(CARS[0], store, values)
+        first = run(base, US06)
+        for name in tuple(still):
+            # A state of charge may not rise above 1.
+            changed = run(base.with_values({name: 0.9 * base.values[name] or 1.0}), US06)
+            if any(np.abs(first[d.name] - changed[d.name]).max() > 1e-6 * np.abs(first[d.name]).max() for d in first.outputs):
+                still.discard(name)
+    assert not still
+
+
+def test_numbers_and_curves_of_a_store_must_fit():
+    for store in ("nimh-7ah-rc", "uc-2900f", "pb-25ah"):
+        with pytest.raises(InputError, match=r"soc_empty = 0\.8 must be below soc_full = 0\.7"):
+            car_of(CARS[0], store).with_values({"battery.soc_empty": 0.8, "battery.soc_full": 0.7})
+    p = car_of(CARS[0], "nimh-7ah-rc").parameters["battery"]
+    flat = Table.of(*p.u_oc.points, values=np.full_like(p.u_oc.values, 7.0))
+    with pytest.raises(InputError, match="u_oc must rise with the state of charge"):
+        replace(p, u_oc=flat)

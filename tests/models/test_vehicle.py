@@ -145,7 +145,7 @@ def test_parts_that_do_not_fit_are_named_at_once():
     found = problems(SERIES.with_parts, {"motor": "pb-25ah", "mator": "pm-32kw", "engine": "si-41w"})
     assert found == [
         "mator is not known, did you mean 'motor'?",
-        'motor = "pb-25ah" is of kind battery, must be motor',
+        f'motor = "pb-25ah" is of kind battery, must be {" or ".join(powertrains()["series"].kinds("motor"))}',
         "engine: component 'si-41w': not in the library, did you mean 'si-41kw'?",
     ]
 

@@ -134,6 +134,7 @@ class Locus:
         P = T * w / (cvt.eta if cvt.eta > 0 else 0.9) + T_acc * engine.own
         wanted = clip(self.locus(P) / max(w, 1e-3), self.ratios[1], self.ratios[0])
         most = 1 + self.p.rate * dt
-        self.G = clip(wanted, self.G / most, self.G * most)
+        before, self.G = self.G, clip(wanted, self.G / most, self.G * most)
+        self.change = (self.G - before) / self.G
         self.seen = {"shift.ratio": self.G}
         return self.G

@@ -50,11 +50,12 @@ class Engine:
         self.w = w
         return w
 
-    def geared(self, T_req, w_shaft, on, clutch_open, clutch_slips, road, dt):
+    def geared(self, T_req, w_shaft, on, clutch_open, clutch_slips, road, dt, ratio_change=0.0):
         """Return the torque that is available behind a clutch, and the speed."""
         w, highest, closed = self.w, self.T_max(self.w) if on else 0.0, self.T_closed(self.w)
         # What the vehicle's gain of speed asks of the rotor; load and rotor get the same share where it is too much.
-        T_J = 0.0 if clutch_slips else self.J * 2 * w_shaft * (road.v_lim - road.v) / max(road.v_lim, 1e-9) / dt
+        gain = 2 * (road.v_lim - road.v) / max(road.v_lim, 1e-9) + ratio_change
+        T_J = 0.0 if clutch_slips else self.J * w_shaft * gain / dt
         T = T_req * highest / (T_req + T_J) if T_req + T_J > highest else max(T_req, closed - T_J)
         T = T_req if clutch_open else T
         T_map = closed if clutch_open and w > self.w_c + 1e-9 else T_req + self.J * (w - self.own) / dt

@@ -115,7 +115,7 @@ def shared(P_motor, P_generator, P):
 def drive(parameters, samples):
     """Return the time series of a power split by name."""
     p = parameters
-    r, s = p["gear"].r, p["gear"].s
+    r, s = p["planetary"].r, p["planetary"].s
     road, final, motor = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Motor(p["motor"])
     generator, engine, accessories = MotorGenerator(p["generator"]), Engine(p["engine"]), Accessories(p["accessories"])
     battery = Battery(p["battery"], max(p["motor"].U_min, p["generator"].U_min))

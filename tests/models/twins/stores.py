@@ -19,16 +19,16 @@ class Cells:
         p = self.p
         E, D_out, D_in = self.source()
         u_low = max(E / 2, self.U_least / p.n_modules, p.u_min)
-        self.P_max = self.n * max(0.0, (E - u_low) * u_low / D_out) if self.soc > 1e-3 else 0.0
+        self.P_max = self.n * max(0.0, (E - u_low) * u_low / D_out) if self.soc > p.soc_empty else 0.0
         self.i_min = min(0.0, (E - p.u_max) / D_in)
-        self.P_min = self.n * self.i_min * (E - self.i_min * D_in) if self.soc < 0.999 else 0.0
+        self.P_min = self.n * self.i_min * (E - self.i_min * D_in) if self.soc < p.soc_full else 0.0
         return self.P_max, self.P_min
 
     def available(self, P_asked, dt):
         p = self.p
         E, D_out, D_in = self.source()
         D = D_out if P_asked >= 0 else D_in
-        power = 0.0 if self.soc >= 0.999 and P_asked < 0 else min(P_asked, self.P_max) / self.n
+        power = 0.0 if self.soc >= p.soc_full and P_asked < 0 else min(P_asked, self.P_max) / self.n
         i = max((E - math.sqrt(max(E**2 - 4 * power * D, 0.0))) / (2 * D), self.i_min)
         u = E - D * i
         before = self.energy()

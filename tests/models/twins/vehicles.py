@@ -125,7 +125,7 @@ def cvt(parameters, samples):
         T, w_shaft = clutch.required(T, w, state)
         w_engine = engine.geared_speed(w_c, control.w_idle, on, is_open, slips, accessories.T, G, road, dt)
         T_req = accessories.required(T, w_engine, control.w_idle, on)
-        T, w = engine.geared(T_req, w_shaft, on, is_open, slips, road, dt)
+        T, w = engine.geared(T_req, w_shaft, on, is_open, slips, road, dt, locus.change)
         road.available(*final.available(*gearbox.available(*clutch.available(accessories.available(T), w))))
         yield seen(road, final, gearbox, locus, clutch, engine, control)
 
