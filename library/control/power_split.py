@@ -125,15 +125,9 @@ class PowerSplitControl(Component):
 
     @face("omega_command", "tau_command")
     def operate(
-        self,
-        _decision: Decision,
-        omega_ring_turning: Expr,
-        omega_own: Expr,
-        dt: Expr,
-        gear: PlanetaryGear,
-        engine: Engine,
+        self, _decision: Decision, omega_ring_turning: Expr, omega_own: Expr, dt: Expr, gear: PlanetaryGear, engine: Engine,
         generator: MotorGenerator,
-    ) -> Mapping[str, Any]:
+    ) -> Mapping[str, Any]:  # fmt: skip
         """Return the engine's operating point."""
         p, (on, full, P) = self.p, _decision
         scale = engine.p.speed_scale * engine.p.torque_scale
