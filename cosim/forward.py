@@ -9,8 +9,12 @@ request is out of reach (anti-windup).
 from __future__ import annotations
 
 import io
-from contextlib import redirect_stderr
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
+from types import FrameType
 
 import casadi as ca
 import numpy as np
@@ -68,6 +72,7 @@ class Forward:
     def __init__(self, model: Model, title: str = "", reltol: float = 1e-7, driver: Driver = Driver()) -> None:
         self.stepper: Stepper = stepper(model, title)
         self.driver = driver
+        self._interrupts = Interrupts()
         tables = all_tables(model)
         try:
             functions = compiled_tables(tables)
@@ -106,6 +111,10 @@ class Forward:
             If the integrator cannot go on; the message tells where.
 
         """
+        with self._interrupts.listened_to():
+            return self._run(samples, parameters)
+
+    def _run(self, samples: Samples, parameters: Array) -> ForwardRun:
         step, plant, driver = self.stepper.step, self.plant, self.driver
         tags = step.tags
         parameters = np.array(parameters, dtype=float)
@@ -158,12 +167,12 @@ class Forward:
         """Integrate over a time with held commands."""
         z = self._balanced(x, z, p, t)
         rates = np.array(self._rates(x, z, p)).ravel()
-        said = io.StringIO()
         try:
-            with redirect_stderr(said):
+            # What IDAS says on the terminal is of no use to anybody.
+            with redirect_stderr(io.StringIO()):
                 r = self._advance(x0=x, z0=z, p=np.concatenate([p, rates, [span]]))
         except RuntimeError as error:
-            _interrupt(said)
+            self._interrupts.pass_on()
             if span < SHORTEST:
                 end, gained = x + rates * span, np.array(self._powers(x, z, p)).ravel() * span
                 over = self._balanced(end, z, p, t)
@@ -174,7 +183,7 @@ class Forward:
             middle, z, first = self._interval(x, z, p, t, span / 2)
             end, z, second = self._interval(middle, z, p, t + span / 2, span / 2)
             return end, z, first + second
-        _interrupt(said)
+        self._interrupts.pass_on()
         return np.array(r["xf"]).ravel() + rates * span, np.array(r["zf"]).ravel(), np.array(r["qf"]).ravel() * ENERGY
 
     def _balanced(self, x: Array, guess: Array, p: Array, t: float) -> Array:
@@ -230,7 +239,33 @@ class Forward:
         return SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[self._motion[0]]:g} m/s: {message}")
 
 
-def _interrupt(said: io.StringIO) -> None:
-    """Pass an interrupt on; CasADi swallows it within the integrator and only says so."""
-    if "KeyboardInterrupt" in said.getvalue():
-        raise KeyboardInterrupt
+class Interrupts:
+    """Remembers an interrupt that comes while it listens; CasADi swallows it within an integrator or a function."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    @contextmanager
+    def listened_to(self) -> Iterator[None]:
+        """Listen, where this is the thread that interrupts come to."""
+        self.came = False
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = signal.getsignal(signal.SIGINT)
+
+        def note(number: int, frame: FrameType | None) -> None:
+            self.came = True
+            if callable(before):
+                before(number, frame)
+
+        signal.signal(signal.SIGINT, note)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def pass_on(self) -> None:
+        """Raise the interrupt that came."""
+        if self.came:
+            raise KeyboardInterrupt

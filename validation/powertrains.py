@@ -98,7 +98,7 @@ def comparison(names: Iterable[str] = (), progress: Callable[[str], None] | None
 
 def table(rows: Iterable[Row]) -> Iterator[str]:
     """Yield the lines of a table in Markdown, as the rows come."""
-    yield "| vehicle | | fuel [L] step, forward | battery [kWh] step, forward | charge at the end | 0-100 km/h [s] | forward less step | at 0.1 s |"
+    yield "| vehicle | | fuel [L]: step, forward | battery [kWh] | charge at the end | 0-100 km/h [s] | forward less step | at 0.1 s |"
     yield "|---|---|---|---|---|---|---|---|"
     for row in rows:
         pairs = ((row.fuel, 4), (row.battery, 4), (row.charge, 4), (row.time, 3))

@@ -47,7 +47,11 @@ def runs_well(car, values):
     return True
 
 
-@pytest.mark.parametrize("name", vehicle_names())
+#: Cars of other parts than those before them.
+DIFFERENT = list({tuple((role, part.kind) for role, part in Vehicle.load(n).parts.items()): n for n in reversed(vehicle_names())}.values())
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
 def test_numbers_at_the_edges_of_their_bounds_run_or_are_refused(name):
     car = Vehicle.load(name)
     ends = {name: edges(spec) for name, spec in car.specs.items()}

@@ -11,11 +11,12 @@ import pytest
 from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
-from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.models.vehicle import Vehicle
+from halfshaft.validation.powertrains import first_of_each
 
 vehicle_of = cache(Vehicle.load)
-#: Of the paper's cars, which differ in mass only, the heaviest.
-every_vehicle = pytest.mark.parametrize("name", [n for n in vehicle_names() if n not in ("paper-series-1459", "paper-series-1936")])
+#: One car of each powertrain, and the heaviest of the paper's.
+every_powertrain = pytest.mark.parametrize("name", [*first_of_each(), "paper-series-2393"])
 
 
 def hill(grade, *points, key_on=None):
@@ -33,14 +34,14 @@ def forward(name, cycle, **values):
     return result
 
 
-@every_vehicle
+@every_powertrain
 @pytest.mark.parametrize("grade", [0.2, -0.2])
 def test_a_vehicle_stands_on_a_hill_for_a_minute(name, grade):
     result = forward(name, hill(grade, (0, 0), (60, 0)))
     assert abs(result["body.distance"][-1]) < 2e-3
 
 
-@every_vehicle
+@every_powertrain
 @pytest.mark.parametrize("grade", [0.15, 0.05, -0.05, -0.2])
 def test_every_vehicle_starts_on_a_hill(name, grade):
     v = forward(name, hill(grade, (0, 0), (2, 0), (2.001, 8), (16, 8)))["body.v"]
