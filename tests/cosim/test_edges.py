@@ -17,7 +17,7 @@ US06 = Cycle.load("us06")
 #: The start of the hardest cycle: rest, full acceleration, 48 m/s^2 of braking in all.
 TRACE = replace(US06, time=US06.time[:200], speed=US06.speed[:200])
 #: Pairs and triples of edges, for each vehicle.
-MIXED = 40
+MIXED = 20
 
 
 @pytest.fixture(autouse=True, scope="module")
