@@ -155,8 +155,9 @@ def notice(mutant: Mutant, copy: Path, cache: Path) -> str:
     path.write_text(source[: mutant.start] + mutant.text + source[mutant.end :], encoding="utf-8")
     # The links for type checkers make a package of the copy, before the installed one.
     environment = {**os.environ, "PYTHONPATH": str(copy / ".typing"), "HALFSHAFT_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
-    folder = f"tests/{mutant.path.split('/')[0]}"
-    first = [folder] if (copy / folder).is_dir() else []
+    # Those that are likely to notice come first: the package's own, and the vehicles by hand.
+    likely = (f"tests/{mutant.path.split('/')[0]}", "tests/models")
+    first = [folder for folder in dict.fromkeys(likely) if (copy / folder).is_dir()]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", "-p", "no:randomly", *first, "tests"]
     try:
         done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False)
