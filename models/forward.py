@@ -91,7 +91,8 @@ class PlantWiring(Wiring):
                     if key[0] == "variable":
                         self.held[key] = None
                     else:
-                        problems.append(f"{bound} takes {name}, but nothing gives {key[1]}.{key[2]} ({key[0]})")
+                        told = f"{bound} takes {name}, but in the forward-facing model nothing gives {key[1]}.{key[2]} ({key[0]})"
+                        problems.append(f"{told}: {key[1]} must have a plant face for it")
                 elif key[0] == "state" and key[2] not in self.states[key[1]]:
                     problems.append(f"{bound} takes {name}, a memory of {key[1]} in the step that has nothing neutral to stand for it")
         balances = [key[1] for key in self.maker if key[0] == "balance"]

@@ -90,12 +90,15 @@ class Model:
             self._problems.append(f"{name} is no part of this model{nearest(name, self.parts)}")
             return None
         part = self.parts[name]
+        if given and given not in part.ports():
+            self._problems.append(f"{name} has no port {given}{nearest(given, part.ports())}")
+            return None
         ports = [port for port in part.ports().values() if port.side == side]
         named = [port for port in ports if port.name == given]
         if len(named or ports) == 1:
             return PortOf(part, (named or ports)[0])
-        toward = f"port toward the {side}"
-        said = f"has the {toward}s {' and '.join(port.name for port in ports)}; say which" if ports else f"has no {toward}"
+        several = " and ".join(port.name for port in ports)
+        said = f"has the ports toward the {side} {several}; say which" if ports else f"has no port toward the {side}"
         self._problems.append(f"{name} {said}")
         return None
 

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from halfshaft.library.base.component import Component
-from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.files.catalog import component_kinds, data_files, modules, packages
 from halfshaft.models.model import Model
 from halfshaft.models.rules import Rule, Sets
@@ -79,6 +79,12 @@ class Powertrain:
         if problems:
             raise InputError(f"powertrain '{self.name}'", problems)
 
+    def misfits(self) -> list[str]:
+        """Return what roles take that is no kind or family of components."""
+        known = {*component_kinds(), *(cls.family for cls in component_kinds().values())}
+        taken = [(role, kind) for role, kinds in self.roles.items() for kind in kinds]
+        return [f"role {role} takes {kind}, which is no kind or family{nearest(kind, known)}" for role, kind in taken if kind not in known]
+
     def kinds(self, role: str) -> list[str]:
         """Return the kinds that may fill a role."""
         return [kind for kind, cls in component_kinds().items() if kind in self.roles[role] or cls.family in self.roles[role]]
@@ -107,6 +113,9 @@ def powertrains() -> dict[str, Powertrain]:
         for value in vars(module).values():
             if isinstance(value, Powertrain) and found.setdefault(value.name, value) is not value:
                 raise InputError(f"powertrain '{value.name}'", [f"stands twice, a second time in {module.__name__}; rename one"])
+    for name, powertrain in found.items():
+        if misfits := powertrain.misfits():
+            raise InputError(f"powertrain '{name}'", misfits)
     return dict(sorted(found.items()))
 
 

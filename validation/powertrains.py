@@ -19,6 +19,7 @@ from halfshaft.models.powertrain import powertrains
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 CYCLES = ("udds", "hwfet", "us06")
+TASKS = (*CYCLES, "0-100 km/h")
 #: Fuel and electric energy together [kWh] below which a difference in per cent says nothing.
 NOTHING = 1e-3
 
@@ -85,28 +86,32 @@ def comparison(names: Iterable[str] = (), progress: Callable[[str], None] | None
     """Yield the rows, as they are made; a task that the forward-facing model does not finish has none of its numbers."""
     for name in names or first_of_each():
         vehicle = Vehicle.load(name)
-        for task in (*CYCLES, "0-100 km/h"):
+        for task in TASKS:
             if progress:
                 progress(f"{name}, {task}")
             try:
                 yield compared(vehicle, task)
-            except SolveError as error:
-                if progress:
-                    progress(f"{name}, {task}: {error}")
+            except SolveError:
                 yield Row(name, task, _NONE, _NONE, _NONE, _NONE, None, None)
+
+
+#: Heads of what `cells` returns.
+HEAD = ("fuel [L]: step, forward", "battery [kWh]", "charge at the end", "0-100 km/h [s]", "forward less step", "at 0.1 s")
+
+
+def cells(row: Row) -> list[str]:
+    """Return the texts of a row."""
+    pairs = ((row.fuel, 4), (row.battery, 4), (row.charge, 4), (row.time, 3))
+    shown = [", ".join("-" if x is None else f"{x:.{n}f}" for x in pair) if any(x is not None for x in pair) else "" for pair, n in pairs]
+    return [*shown, *("-" if x is None else f"{x:+.2%}".replace("%", " %") for x in (row.apart, row.alike))]
 
 
 def table(rows: Iterable[Row]) -> Iterator[str]:
     """Yield the lines of a table in Markdown, as the rows come."""
-    yield "| vehicle | | fuel [L]: step, forward | battery [kWh] | charge at the end | 0-100 km/h [s] | forward less step | at 0.1 s |"
-    yield "|---|---|---|---|---|---|---|---|"
+    yield f"| vehicle | | {' | '.join(HEAD)} |"
+    yield "|---" * (2 + len(HEAD)) + "|"
     for row in rows:
-        pairs = ((row.fuel, 4), (row.battery, 4), (row.charge, 4), (row.time, 3))
-        shown = [
-            ", ".join("-" if x is None else f"{x:.{n}f}" for x in pair) if any(x is not None for x in pair) else "" for pair, n in pairs
-        ]
-        apart, alike = ("-" if x is None else f"{x:+.2%}".replace("%", " %") for x in (row.apart, row.alike))
-        yield f"| `{row.vehicle}` | {row.task} | {' | '.join(shown)} | {apart} | {alike} |"
+        yield f"| `{row.vehicle}` | {row.task} | {' | '.join(cells(row))} |"
 
 
 if __name__ == "__main__":

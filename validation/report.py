@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from halfshaft import __version__
 from halfshaft.cosim.cli_output import console, new_table, print_line
 from halfshaft.validation import paper
+from halfshaft.validation.powertrains import HEAD, Row, cells
 
 _PAGE = Template("""<!doctype html>
 <html lang="en">
@@ -103,7 +104,7 @@ def report(result: Mapping[str, Any], light: Mapping[str, bytes], dark: Mapping[
         source=escape(paper.SOURCE),
         version=escape(__version__),
         key=_key(result["tables"]),
-        tables="\n".join(map(_table, sheets(result["tables"]))),
+        tables="\n".join(map(_table, [*sheets(result["tables"]), _powertrains(result["powertrains"])])),
         notes="\n".join(f'<p class="note">{escape(note)}</p>' for note in result["notes"]),
         figures="\n".join(_figure(n, image, dark[n], sentences[n]) for n, image in light.items()),
     )
@@ -127,6 +128,14 @@ def print_report(result: Mapping[str, Any]) -> None:
                 place += 1
             table.add_section()
         console().print(table)
+    sheet = _powertrains(result["powertrains"])
+    print_line(f"Table {sheet.number}. {sheet.title}", "bold")
+    flat = new_table()
+    for head in ("", *HEAD):
+        flat.add_column(head, justify="right" if head else "left", no_wrap=True)
+    for name, row in sheet.rows:
+        flat.add_row(name, *(text for text, _ in row))
+    console().print(flat)
     print_line("Figures", "bold")
     for number, sentence in _sentences(result["figures"]).items():
         print_line(f"  {number:>2}  {_TITLES[number]}. {sentence}")
@@ -187,6 +196,13 @@ def _table(sheet: Sheet) -> str:
     caption = f'<p id="{name}" class="caption"><b>Table {sheet.number}.</b> {escape(sheet.title)}</p>'
     table = f'<table aria-labelledby="{name}">{head}<tbody>{body}</tbody></table>'
     return f'<div class="card">{caption}<div class="scroll">{table}</div></div>'
+
+
+def _powertrains(rows: Sequence[Mapping[str, Any]]) -> Sheet:
+    """Return the table of all powertrains, which the paper does not have."""
+    title = "Every powertrain by the step at 1 s and forward-facing; not in the paper."
+    shown = [(f"{row['vehicle']}, {row['task']}", [(text, True) for text in cells(Row(**row))]) for row in rows]
+    return Sheet("6", title, (("", HEAD),), shown)
 
 
 def _accuracy(number: str, t: Mapping[str, Any], printed: paper.Accuracy) -> Sheet:

@@ -27,6 +27,7 @@ from halfshaft.library.base.errors import InputError, SolveError
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.validation import paper
 from halfshaft.validation.figures import DARK, LIGHT, Drawing, acceleration_drawings, deviations_drawing, png, speeds_drawing
+from halfshaft.validation.powertrains import TASKS, comparison, first_of_each
 from halfshaft.validation.report import report
 
 #: The current limit of figures 2 to 7 [A]: the paper's 57 kW at the 353 V that the loaded pack has.
@@ -57,7 +58,8 @@ def reproduce(out: Path | None = None, progress: Callable[[str], None] | None = 
     -------
     dict
         ``tables`` by number: lists in the paper's order by method, ``paper`` and ``paper_iteration`` (``paper_forward``),
-        and differences in per cent; ``figures`` with the values that the paper names; ``notes`` on what did not run.
+        and differences in per cent; ``powertrains``: every powertrain by the step and forward-facing; ``figures`` with the
+        values that the paper names; ``notes`` on what did not run.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def reproduce(out: Path | None = None, progress: Callable[[str], None] | None = 
         If a file cannot be written.
 
     """
-    steps = len(METHODS) + len(speed_tasks()) + (1 if out is None else 2)
+    steps = len(METHODS) + len(speed_tasks()) + len(first_of_each()) * len(TASKS) + (1 if out is None else 2)
     count = itertools.count(1)
 
     def say(what: str) -> None:
@@ -95,12 +97,14 @@ def reproduce(out: Path | None = None, progress: Callable[[str], None] | None = 
         "4": _compared(four, paper.TABLE_4),
         "5": _speed(say, notes),
     }
+    powertrains = [row._asdict() for row in comparison(progress=say)]
     say("figures")
     limited = accelerate(cars["2393 kg"].with_values({"motor.I_max": I_MAX}), mode="hybrid").result
     result: dict[str, Any] = {
         "source": paper.SOURCE,
         "tables": tables,
         "figures": figure_facts(limited, accelerations, cycles),
+        "powertrains": powertrains,
         "notes": notes,
     }
     if out is not None:

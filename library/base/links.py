@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 from halfshaft.library.base.component import Assumed, Component, Face, Variable, arguments
+from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.expressions import where
 from halfshaft.library.base.ports import Expr, Port, Shaft
 
@@ -195,6 +196,8 @@ class TwoSided(Component):
         def required(**x: Any) -> Mapping[str, Any]:
             asked = x.pop(load.name)
             way = outward(self.chain(**x), asked)
+            if not self.turns() and any(link.books == "kinetic" for link, *_ in way):
+                raise InputError(type(self).__name__, ["has an inertia among its links; its parameter must be called J"])
             named = {}
             for link, _, sent in way:
                 fields = {f"{k}_{link.name}": v for k, v in sent._asdict().items()} if link.name else {}

@@ -541,5 +541,6 @@ def test_a_shell_can_complete_names():
     env = {**os.environ, "_HALFSHAFT_COMPLETE": "complete_bash", "COMP_WORDS": "halfshaft run small-car-e", "COMP_CWORD": "2"}
     command = [sys.executable, "-c", "from halfshaft.cosim.cli import app; app(prog_name='halfshaft')"]
     result = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
-    assert result.stdout.split() == ["small-car-electric"]
+    assert "small-car-electric" in result.stdout.split()
+    assert all(name.startswith("small-car-e") for name in result.stdout.split())
     assert "--install-completion" in done("--help")

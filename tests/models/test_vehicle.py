@@ -55,6 +55,11 @@ def test_a_powertrain_says_all_that_is_wrong_with_its_names():
     ]
 
 
+def test_a_role_takes_kinds_and_families_that_there_are():
+    one = Powertrain("one", "", {"gearbox": ("gearbox", "gearbox-map"), "battery": ("batery",)}, lambda m: None)
+    assert one.misfits() == ["role battery takes batery, which is no kind or family, did you mean 'battery'?"]
+
+
 @pytest.mark.parametrize("mass", [1459, 1936, 2393])
 def test_the_papers_vehicles_differ_in_mass_only(mass):
     vehicle, lightest = Vehicle.load(f"paper-series-{mass}"), Vehicle.load("paper-series-1459")

@@ -8,7 +8,7 @@ from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.forward import Forward
 from halfshaft.library.base.component import Component, From, Signal, State, Unknown, Variable, face, plant
-from halfshaft.library.base.errors import WiringError
+from halfshaft.library.base.errors import InputError, WiringError
 from halfshaft.library.base.links import TwoSided, drag, inertia
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Electric, Port, Shaft
@@ -418,6 +418,37 @@ def test_a_two_sided_part_has_one_port_a_side():
     assert problems(assemble, electric_with_bearing(Forked(BearingParameters()))) == [
         "bearing has input and other toward the source; a Forked is two-sided and has one"
     ]
+
+
+def test_a_chain_names_parts_and_ports_that_there_are():
+    m = Model("open", PARTS)
+    m.chain("body", "wheal", "final_drive")
+    m.chain("bus.batery", "battery")
+    m.chain("bus", "battery.bogus")
+    assert m.check()[:4] == [
+        "wheal is no part of this model, did you mean 'wheel'?",
+        "wheal is no part of this model, did you mean 'wheel'?",
+        "bus has no port batery, did you mean 'battery'?",
+        "bus has the ports toward the source battery and generator; say which",
+    ]
+    assert "battery has no port bogus" in m.check()
+
+
+def test_a_rotor_has_its_inertia_in_the_parameter_J():
+    @dataclass(frozen=True, kw_only=True)
+    class OtherParameters(Parameters):
+        inertia: float = param("kg.m^2", "inertia", 0.1, ge=0)
+
+    @dataclass(frozen=True)
+    class Other(Bearing):
+        p: OtherParameters
+        parameters = OtherParameters
+
+        def chain(self):
+            return (inertia(self.p.inertia),)
+
+    with pytest.raises(InputError, match="Other: has an inertia among its links; its parameter must be called J"):
+        assemble(electric_with_bearing(Other(OtherParameters())))
 
 
 def test_no_output_is_named_twice():

@@ -6,7 +6,7 @@ from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
 from halfshaft.models.vehicle import Vehicle
-from halfshaft.validation import paper
+from halfshaft.validation import paper, powertrains
 from halfshaft.validation.figures import acceleration_drawings, deviations_drawing, png
 from halfshaft.validation.report import print_report, report
 from halfshaft.validation.reproduce import I_MAX, figure_facts
@@ -97,6 +97,7 @@ def test_figures_and_report_show_what_the_paper_names(us06, capsys):
     result = {
         "tables": {"2": some, "3": some, "4": some, "5": speed},
         "figures": json.loads(json.dumps(facts | {"9": {"largest_gap_kmh": 0.3}})),
+        "powertrains": [],
         "notes": ["a < b"],
     }
     page = report(result, images, images)
@@ -105,7 +106,7 @@ def test_figures_and_report_show_what_the_paper_names(us06, capsys):
     # Self-contained: images are embedded, nothing is fetched.
     assert "http" not in page
     # A telephone shows that a table goes on; the figure of several plots fills the page.
-    assert page.count('<div class="scroll"><table') == 4
+    assert page.count('<div class="scroll"><table') == 5
     assert page.count('<figure class="card wide">') == 1
 
     print_report(result)
@@ -140,8 +141,14 @@ def test_reproduction_says_how_far_it_is(monkeypatch):
     monkeypatch.setattr(module, "speed_tasks", lambda: {"FUDS": lambda via: None})
     monkeypatch.setattr(module, "_compared", lambda table, printed: table)
     monkeypatch.setattr(module, "figure_facts", lambda *_: {})
+    monkeypatch.setattr(module, "first_of_each", lambda: ["car"])
+    row = powertrains.Row("car", "udds", (0.5, None), (1.0, 1.01), (0.6, 0.59), (None, None), 0.0123, None)
+    monkeypatch.setattr(module, "comparison", lambda progress: iter([row]))
     said = []
     found = module.reproduce(progress=said.append)
-    assert said == ["step 1 of 3: tables 2, 3 and 4: hybrid", "step 2 of 3: table 5: FUDS", "step 3 of 3: figures"]
+    assert said == ["step 1 of 7: tables 2, 3 and 4: hybrid", "step 2 of 7: table 5: FUDS", "step 3 of 7: figures"]
+    assert powertrains.cells(powertrains.Row(**found["powertrains"][0])) == [
+        "0.5000, -", "1.0000, 1.0100", "0.6000, 0.5900", "", "+1.23 %", "-",
+    ]  # fmt: skip
     assert found["tables"]["5"]["ratio"] == [2.0]
     assert found["tables"]["5"]["ratio_spread"] == [(2.0, 2.0)]
