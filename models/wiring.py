@@ -8,13 +8,15 @@ names of the faces in it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
-from halfshaft.library.base.component import Component, Face, From, arguments
+from halfshaft.library.base.component import Booking, Component, Face, From, arguments
 from halfshaft.library.base.errors import WiringError, nearest
 from halfshaft.library.base.links import TwoSided
+from halfshaft.library.base.parameters import spec_of
+from halfshaft.library.base.tags import Tag
 from halfshaft.library.files.catalog import component_kinds
 from halfshaft.models.model import Model
 
@@ -23,6 +25,9 @@ Key = tuple[str, str, str]
 
 REQUESTS = ("v_request", "grade", "key_on", "dt", "decided")
 LAWS = ("turning", "direction")
+#: Lines of the energy account, and what results ask of a part that books fuel.
+BOOKED = [line for line in get_args(Booking) if line]
+FUEL: tuple[Tag, ...] = ("fuel mass", "fuel density", "fuel heating value")
 
 
 class Each(NamedTuple):
@@ -235,6 +240,14 @@ class Wiring:
                 if len(ports) != 1:
                     found = " and ".join(ports) or "no port"
                     problems.append(f"{name} has {found} toward the {side}; a {type(part).__name__} is two-sided and has one")
+            bookings, tags = {v.booking for v in part.all_variables()}, {s.tag for s in part.states}
+            tags |= {spec_of(f).tag for f in fields(part.parameters)}
+            if lost := bookings - set(get_args(Booking)):
+                problems.append(
+                    f"{name} books {' and '.join(sorted(lost))}, which is no line of the energy account{nearest(lost.pop(), BOOKED)}"
+                )
+            if "fuel" in bookings and (lost := [tag for tag in FUEL if tag not in tags]):
+                problems.append(f"{name} books fuel, but nothing of it is tagged {' or '.join(lost)}")
             read = {argument: source.owner for source in part.reads for argument in source.arguments}
             own = {s.name: "state" for s in part.states} | {v.name: "variable" for v in part.all_variables()}
             own |= {s.name: "signal" for s in part.signals}

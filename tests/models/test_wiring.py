@@ -361,6 +361,22 @@ class StartsShort(StartsFromNothing):
         return {}
 
 
+class Burns(Extra):
+    variables = (Variable("P_fuel", "W", "fuel", "fuel"),)
+
+    @face("P_fuel")
+    def one(self, dt):
+        return {"P_fuel": dt}
+
+
+class Misbooks(Extra):
+    variables = (Variable("P_lost", "W", "lost", "lost"),)
+
+    @face("P_lost")
+    def one(self, dt):
+        return {"P_lost": dt}
+
+
 class ReturnsLess(Reading):
     @face("heat")
     def one(self, v):
@@ -391,6 +407,8 @@ class ReturnsMore(Reading):
             ["extra.start reads speed_rato, which is no state and no law of a part that it reads of, did you mean 'speed_ratio'?"],
         ),
         (StartsShort, ["extra.start gives no warm"]),
+        (Burns, ["extra books fuel, but nothing of it is tagged fuel mass or fuel density or fuel heating value"]),
+        (Misbooks, ["extra books lost, which is no line of the energy account, did you mean 'loss'?"]),
         (ReturnsLess, ["extra.one returns no heat, which it declares to give"]),
         (ReturnsMore, ["extra.one returns light, which it does not declare to give"]),
     ],
