@@ -242,12 +242,11 @@ class Wiring:
                     problems.append(f"{name} has {found} toward the {side}; a {type(part).__name__} is two-sided and has one")
             bookings, tags = {v.booking for v in part.all_variables()}, {s.tag for s in part.states}
             tags |= {spec_of(f).tag for f in fields(part.parameters)}
-            if lost := bookings - set(get_args(Booking)):
-                problems.append(
-                    f"{name} books {' and '.join(sorted(lost))}, which is no line of the energy account{nearest(lost.pop(), BOOKED)}"
-                )
-            if "fuel" in bookings and (lost := [tag for tag in FUEL if tag not in tags]):
-                problems.append(f"{name} books fuel, but nothing of it is tagged {' or '.join(lost)}")
+            unknown = sorted(bookings - set(get_args(Booking)))
+            problems += [f"{name} books {line}, which is no line of the energy account{nearest(line, BOOKED)}" for line in unknown]
+            untold = [tag for tag in FUEL if tag not in tags] if "fuel" in bookings else []
+            if untold:
+                problems.append(f"{name} books fuel, but nothing of it is tagged {' or '.join(untold)}")
             read = {argument: source.owner for source in part.reads for argument in source.arguments}
             own = {s.name: "state" for s in part.states} | {v.name: "variable" for v in part.all_variables()}
             own |= {s.name: "signal" for s in part.signals}
