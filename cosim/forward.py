@@ -240,7 +240,7 @@ class Forward:
 
 
 class Interrupts:
-    """Remembers an interrupt that comes while it listens; CasADi swallows it within an integrator or a function."""
+    """Remembers an interrupt that comes while it listens, to be raised between two calls of CasADi, which swallows or garbles it within."""
 
     def __init__(self) -> None:
         self.came = False
@@ -255,15 +255,17 @@ class Interrupts:
         before = signal.getsignal(signal.SIGINT)
 
         def note(number: int, frame: FrameType | None) -> None:
-            self.came = True
-            if callable(before):
+            # Who is impatient is heard at once.
+            if self.came and callable(before):
                 before(number, frame)
+            self.came = True
 
         signal.signal(signal.SIGINT, note)
         try:
             yield
         finally:
             signal.signal(signal.SIGINT, before)
+        self.pass_on()
 
     def pass_on(self) -> None:
         """Raise the interrupt that came."""

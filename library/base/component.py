@@ -129,6 +129,13 @@ class From:
         return (self.owner,) if self.interface else tuple(self.signals)
 
 
+#: What a component with a rotor books besides its losses.
+ROTOR = (
+    Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"),
+    Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
+)
+
+
 class Assumed(NamedTuple):
     """A difference from a law that the paper's second assumption makes on purpose where a limit acts [W]."""
 
@@ -195,6 +202,11 @@ class Component:
     reads: ClassVar[tuple[From, ...]] = ()
     #: Unknowns of the forward-facing model that it brings.
     unknowns: ClassVar[tuple[Unknown, ...]] = ()
+
+    @classmethod
+    def turns(cls) -> bool:
+        """Return whether the component has a rotor."""
+        return "J" in cls.parameters.__dataclass_fields__
 
     @classmethod
     def ports(cls) -> dict[str, Port]:

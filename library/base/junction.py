@@ -7,11 +7,12 @@ each port what is asked there (`ask_<port>`), and what all of them together give
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import reduce
 from typing import Any, ClassVar
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, Face, Unknown, Variable, arguments
+from halfshaft.library.base.component import ROTOR, Component, Face, Unknown, Variable, arguments
 from halfshaft.library.base.expressions import where
 from halfshaft.library.base.links import Link, continuous, homeward, outward
 from halfshaft.library.base.ports import MEANINGS, UNITS, Electric, Port, Shaft
@@ -70,17 +71,10 @@ class Junction(Component):
         asked = cls.asked_ports()
         return asked[:-1] if cls.free is None else [port for port in asked if port.name in cls.free]
 
-    @classmethod
-    def turns(cls) -> bool:
-        """Return whether the component has a rotor."""
-        return "J" in cls.parameters.__dataclass_fields__
-
     def all_variables(self) -> tuple[Variable, ...]:
         """Return the declared variables and the booked powers."""
         books = [Variable("P_loss", "W", "power lost", "loss")]
-        if self.turns():
-            books.append(Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"))
-            books.append(Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"))
+        books += ROTOR if self.turns() else ()
         if self.load_port().kind is not Electric:
             books.append(Variable("P_mismatch", "W", "power that the sources offer less that at the joint's speed", "mismatch"))
         return (*self.variables, *books)
@@ -127,7 +121,7 @@ class Junction(Component):
             joined = _called(self.join, {load: _split} | x)
             # Where all sources give what they were asked for, so does the joint, to the last bit; what one of them did not give,
             # those that saw its offer were asked for, unless they must not make it up.
-            whole = reached[0] if len(reached) == 1 else ca.logic_and(*reached) if len(reached) == 2 else ca.logic_all(ca.vertcat(*reached))
+            whole = reduce(ca.logic_and, reached)
             if made_up:
                 whole = ca.logic_and(whole, ca.fabs(joined[0] - _split[0]) <= 1e-9 * (1 + ca.fabs(_split[0])))
             joint = joined._replace(**{joined._fields[0]: where(whole, _split[0], joined[0])})

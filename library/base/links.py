@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
-from halfshaft.library.base.component import Assumed, Component, Face, Variable, arguments
+from halfshaft.library.base.component import ROTOR, Assumed, Component, Face, Variable, arguments
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.expressions import where
 from halfshaft.library.base.ports import Expr, Port, Shaft
@@ -159,11 +159,6 @@ class TwoSided(Component):
         """Return the links from the wheel's side to the source's side; arguments are injected like a face's."""
         raise NotImplementedError
 
-    @classmethod
-    def turns(cls) -> bool:
-        """Return whether the component has a rotor."""
-        return "J" in cls.parameters.__dataclass_fields__
-
     def found(self, way: Mapping[str, tuple[Any, Any]]) -> Mapping[str, Any]:
         """Return next values of memories, and variables, from the required way: of each named link the points asked and sent."""
         return {}
@@ -177,9 +172,7 @@ class TwoSided(Component):
     def all_variables(self) -> tuple[Variable, ...]:
         """Return the declared variables, the booked powers and the named links."""
         books = [Variable("P_loss", "W", "power lost", "loss")]
-        if self.turns():
-            books.append(Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"))
-            books.append(Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"))
+        books += ROTOR if self.turns() else ()
         if self.estimates:
             books.append(Variable("P_mismatch", "W", "power at the estimated speed less that at the required one", "mismatch"))
         return (*self.variables, *books)

@@ -9,10 +9,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 
+from halfshaft.library.base.component import Component, Signal, State, Variable
 from halfshaft.library.base.expressions import where
 from halfshaft.library.base.ports import Expr
 
@@ -57,3 +60,41 @@ def clutch_logic(
     slipping = ca.logic_and(ca.logic_and(asked, omega_input < omega_launch), before < 2.5)
     slipping = where(decided, before == SLIPPING, ca.logic_and(slipping, ca.logic_not(is_open)))
     return ClutchLogic(where(is_open, OPEN, where(slipping, SLIPPING, ENGAGED)), is_open, slipping)
+
+
+@dataclass(frozen=True)
+class ClutchControl(Component):
+    """What the controls of an engine behind a clutch share: what they remember, and what they command."""
+
+    states: ClassVar[tuple[State, ...]] = (
+        State("clutch_before", "1", "state of the clutch in the previous step", decision=True),
+        State("on_before", "1", "whether the engine was on in the previous step", decision=True),
+    )
+    variables: ClassVar[tuple[Variable, ...]] = (
+        Variable("clutch_state", "1", "1 open, 2 slipping, 3 engaged", kind="count"),
+        Variable("clutch_open", "1", "whether the clutch is open", signal=True, kind="flag"),
+        Variable("clutch_slipping", "1", "whether the clutch slips", signal=True, kind="flag"),
+        Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
+        Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
+    )
+    signals: ClassVar[tuple[Signal, ...]] = (
+        Signal("omega_idle", "rad/s", "idling speed"),
+        Signal("omega_launch", "rad/s", "speed of the engine while the clutch slips at launch"),
+    )
+
+    @staticmethod
+    def commands(clutch: ClutchLogic, on: Expr, omega: Expr) -> Mapping[str, Any]:
+        """Return what a face gives that decides on clutch and engine; `omega` is the speed of an engine that runs."""
+        return {
+            "clutch_state": clutch.state,
+            "clutch_open": clutch.is_open,
+            "clutch_slipping": clutch.slipping,
+            "engine_on": on,
+            "omega_command": where(on, omega, 0),
+            "next_clutch_before": clutch.state,
+            "next_on_before": on,
+        }
+
+
+#: Names of what `ClutchControl.commands` gives.
+COMMANDS = ("clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before")

@@ -13,12 +13,12 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
+from halfshaft.library.base.component import From, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.parameters import Parameters, param
 from halfshaft.library.base.ports import Expr
-from halfshaft.library.control.clutch_logic import ENGAGED, OPEN, clutch_logic
+from halfshaft.library.control.clutch_logic import COMMANDS, ENGAGED, OPEN, ClutchControl, clutch_logic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,27 +34,12 @@ class ConventionalControlParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class ConventionalControl(Component):
+class ConventionalControl(ClutchControl):
     """Clutch logic, engine on and off, and the engine's speed command."""
 
     kind = "conventional-control"
     p: ConventionalControlParameters
     parameters = ConventionalControlParameters
-    states = (
-        State("clutch_before", "1", "state of the clutch in the previous step", decision=True),
-        State("on_before", "1", "whether the engine was on in the previous step", decision=True),
-    )
-    variables = (
-        Variable("clutch_state", "1", "1 open, 2 slipping, 3 engaged", kind="count"),
-        Variable("clutch_open", "1", "whether the clutch is open", signal=True, kind="flag"),
-        Variable("clutch_slipping", "1", "whether the clutch slips", signal=True, kind="flag"),
-        Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
-        Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
-    )
-    signals = (
-        Signal("omega_idle", "rad/s", "idling speed"),
-        Signal("omega_launch", "rad/s", "speed of the engine while the clutch slips at launch"),
-    )
     reads = (
         From("body", v="m/s"),
         From("clutch", tau_clutch="N.m", omega_clutch="rad/s"),
@@ -72,7 +57,7 @@ class ConventionalControl(Component):
         p = self.p
         return {"omega_idle": p.omega_idle * p.idle_at_stop, "omega_launch": ca.fmax(p.launch_share * engine.omega_max, 1.5 * p.omega_idle)}
 
-    @face("clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before")
+    @face(*COMMANDS)
     def control(
         self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, key_on: Expr, omega_launch: Expr,
         engine: Machine, clutch_before: Expr, on_before: Expr, decided: Expr,
@@ -86,12 +71,4 @@ class ConventionalControl(Component):
         on = ca.logic_and(key_on, ca.logic_or(p.idle_at_stop, ca.logic_not(clutch.is_open)))
         on = where(decided, on_before, ca.logic_or(on, ca.logic_and(shifting, on_before)))
         omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
-        return {
-            "clutch_state": clutch.state,
-            "clutch_open": clutch.is_open,
-            "clutch_slipping": clutch.slipping,
-            "engine_on": on,
-            "omega_command": where(on, omega, 0),
-            "next_clutch_before": clutch.state,
-            "next_on_before": on,
-        }
+        return self.commands(clutch, on, omega)

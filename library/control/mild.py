@@ -25,11 +25,11 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
+from halfshaft.library.base.component import From, State, Variable, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, Relation, param
 from halfshaft.library.base.ports import Expr
-from halfshaft.library.control.clutch_logic import ASKED, ENGAGED, OPEN, clutch_logic
+from halfshaft.library.control.clutch_logic import ASKED, COMMANDS, ENGAGED, OPEN, ClutchControl, clutch_logic
 from halfshaft.library.electric.motor import Motor
 from halfshaft.library.engine.engine import Engine
 
@@ -66,28 +66,19 @@ class MildControlParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class MildControl(Component):
+class MildControl(ClutchControl):
     """Clutch logic, engine on and off, and the torque that is wanted of the machine."""
 
     kind = "mild-control"
     p: MildControlParameters
     parameters = MildControlParameters
     states = (
-        State("clutch_before", "1", "state of the clutch in the previous step", decision=True),
-        State("on_before", "1", "whether the engine was on in the previous step", decision=True),
+        *ClutchControl.states,
         State("starting", "1", "whether the last step started the engine", decision=True),
     )
     variables = (
-        Variable("clutch_state", "1", "1 open, 2 slipping, 3 engaged", kind="count"),
-        Variable("clutch_open", "1", "whether the clutch is open", signal=True, kind="flag"),
-        Variable("clutch_slipping", "1", "whether the clutch slips", signal=True, kind="flag"),
-        Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
-        Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
+        *ClutchControl.variables,
         Variable("tau_machine", "N.m", "torque at the crankshaft that is wanted of the machine", signal=True),
-    )
-    signals = (
-        Signal("omega_idle", "rad/s", "idling speed"),
-        Signal("omega_launch", "rad/s", "speed of the engine while the clutch slips at launch"),
     )
     reads = (
         From("body", v="m/s", a_request="m/s^2"),
@@ -112,7 +103,7 @@ class MildControl(Component):
         return {"omega_idle": p.omega_idle, "omega_launch": ca.fmax(p.launch_share * engine.omega_max, 1.5 * p.omega_idle)}
 
     @face(
-        "clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before",
+        *COMMANDS,
         "next_starting",
     )  # fmt: skip
     def decide(
@@ -130,13 +121,7 @@ class MildControl(Component):
         )  # fmt: skip
         omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle, engine.omega_max)
         return {
-            "clutch_state": clutch.state,
-            "clutch_open": clutch.is_open,
-            "clutch_slipping": clutch.slipping,
-            "engine_on": on,
-            "omega_command": where(on, omega, 0),
-            "next_clutch_before": clutch.state,
-            "next_on_before": on,
+            **self.commands(clutch, on, omega),
             "next_starting": where(decided, starting, ca.logic_and(on, ca.logic_not(on_before))),
         }
 

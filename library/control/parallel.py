@@ -31,11 +31,11 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
+from halfshaft.library.base.component import From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, Relation, param
 from halfshaft.library.base.ports import Expr
-from halfshaft.library.control.clutch_logic import ASKED, ENGAGED, OPEN, clutch_logic
+from halfshaft.library.control.clutch_logic import ASKED, COMMANDS, ENGAGED, OPEN, ClutchControl, clutch_logic
 from halfshaft.library.electric.motor import Motor
 from halfshaft.library.engine.engine import Engine
 
@@ -93,29 +93,23 @@ class BalancedParameters(ParallelControlParameters):
 
 
 @dataclass(frozen=True)
-class _ParallelControl(Component):
+class _ParallelControl(ClutchControl):
     """What both strategies share: clutch logic, engine on and off, leave to shift up."""
 
     family = "parallel-control"
     states = (
-        State("clutch_before", "1", "state of the clutch in the previous step", decision=True),
-        State("on_before", "1", "whether the engine was on in the previous step", decision=True),
+        *ClutchControl.states,
         State("P_before", "W", "power that the clutch was asked for one step ago", decision=True),
         State("P_before_2", "W", "two steps ago", decision=True),
         State("P_before_3", "W", "three steps ago", decision=True),
         State("steps_before", "1", "steps that the mean of these looks back on, at most three", decision=True),
     )
     variables = (
-        Variable("clutch_state", "1", "1 open, 2 slipping, 3 engaged", kind="count"),
-        Variable("clutch_open", "1", "whether the clutch is open", signal=True, kind="flag"),
-        Variable("clutch_slipping", "1", "whether the clutch slips", signal=True, kind="flag"),
-        Variable("engine_on", "1", "whether the engine runs", signal=True, kind="flag"),
-        Variable("omega_command", "rad/s", "commanded engine speed", signal=True),
+        *ClutchControl.variables,
         Variable("tau_command", "N.m", "torque that the engine is asked for", signal=True),
     )
     signals = (
-        Signal("omega_idle", "rad/s", "idling speed"),
-        Signal("omega_launch", "rad/s", "speed of the engine while the clutch slips at launch"),
+        *ClutchControl.signals,
         Signal("upshift_allowed", "1", "whether a gear may be raised"),
     )
     reads = (
@@ -161,7 +155,7 @@ class _ParallelControl(Component):
         return {"upshift_allowed": ca.logic_or(ca.logic_or(pulls, fast), on_before)}
 
     @face(
-        "clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before",
+        *COMMANDS,
         "next_P_before", "next_P_before_2", "next_P_before_3", "next_steps_before",
     )  # fmt: skip
     def decide(
@@ -187,13 +181,7 @@ class _ParallelControl(Component):
         omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
         P = where(shifting, P_before, tau_clutch * omega_clutch)
         return {
-            "clutch_state": clutch.state,
-            "clutch_open": clutch.is_open,
-            "clutch_slipping": clutch.slipping,
-            "engine_on": on,
-            "omega_command": where(on, omega, 0),
-            "next_clutch_before": clutch.state,
-            "next_on_before": on,
+            **self.commands(clutch, on, omega),
             "next_P_before": where(decided, P_before, P),
             "next_P_before_2": where(decided, P_before_2, P_before),
             "next_P_before_3": where(decided, P_before_3, P_before_2),

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
+from halfshaft.library.base.component import ROTOR, Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
 from halfshaft.library.base.links import kinetic_rate
 from halfshaft.library.base.parameters import Parameters, Rated, param, table
@@ -64,8 +64,7 @@ class Generator(Component):
     states = (State("omega_before", "rad/s", "speed of the previous step", neutral=0.0),)
     variables = (
         Variable("P_loss", "W", "power lost", "loss"),
-        Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"),
-        Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
+        *ROTOR,
     )
     signals = (Signal("J_shaft", "kg.m^2", "inertia that the engine turns beside its own"),)
     reads = (

@@ -32,7 +32,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from halfshaft.library.base.component import Component, From, State, Variable, face, plant
+from halfshaft.library.base.component import ROTOR, Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import kinetic_rate
@@ -106,8 +106,7 @@ class Engine(Component, Machine):
         Variable("fuel_flow", "kg/s", "fuel flow (eq. 4)"),
         Variable("P_fuel", "W", "power in the fuel", "fuel"),
         Variable("P_loss", "W", "power lost", "loss"),
-        Variable("P_kinetic", "W", "rate of change of the rotor's kinetic energy", "kinetic"),
-        Variable("P_discretisation", "W", "inertia work by difference quotients less that rate", "discretisation"),
+        *ROTOR,
         Variable("P_mismatch", "W", "power at the engine's own speed less that at the shaft", "mismatch"),
     )
     plant_states = (

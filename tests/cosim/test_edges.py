@@ -56,9 +56,11 @@ def test_numbers_at_the_edges_of_their_bounds_run_or_are_refused(name):
     car = Vehicle.load(name)
     ends = {name: edges(spec) for name, spec in car.specs.items()}
     assert not [name for name, pair in ends.items() if None in pair]
-    ran = [runs_well(car, {name: float(x)}) for name, pair in ends.items() for x in pair]
-    # What is refused contradicts another number, such as the window of the charge.
-    assert sum(ran) > 0.85 * len(ran)
+    ran = {name: [runs_well(car, {name: float(x)}) for x in pair] for name, pair in ends.items()}
+    # What is refused contradicts another number, such as the window of the charge, at one end only; but a motor's top speed, by which the
+    # gear ratio is derived, and a number between two others.
+    neither = {name.partition(".")[2] for name, either in ran.items() if not any(either)}
+    assert neither <= {"omega_max", "soc_assist"}
     rng = random.Random(name)
     for _ in range(MIXED):
         runs_well(car, {x: float(rng.choice(ends[x])) for x in rng.sample(sorted(ends), rng.choice([2, 3]))})
