@@ -7,7 +7,9 @@ from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias, cast
 
-from halfshaft.library.base.parameters import Parameters, param
+import numpy as np
+
+from halfshaft.library.base.parameters import Parameters, param, plain
 from halfshaft.library.base.tables import Table
 from halfshaft.library.chassis.wheel import AxleParameters
 from halfshaft.library.control.series import genset_locus
@@ -65,7 +67,7 @@ class SumOfParts(Rule):
     def __call__(self, sets: Sets) -> float:
         """Return the mass [kg]."""
         m = self.rest + sum(p.weight for p in sets.values())
-        return round(m / self.whole) * self.whole if self.whole else m
+        return plain(np.rint(m / self.whole) * self.whole) if self.whole else m
 
 
 @dataclass(frozen=True, kw_only=True)

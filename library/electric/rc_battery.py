@@ -55,9 +55,9 @@ class RCBatteryParameters(StoreParameters):
 
     def ratings(self) -> Mapping[str, float]:
         """Return the energy of the full pack, down to empty, at its start temperature [J]."""
-        empty, full = (self.u_oc(self.T_start, soc) for soc in (0.0, 1.0))
-        C = self.C_bulk(self.T_start) + self.C_surface(self.T_start)
-        return {"energy": float(self.n_modules * self.capacity_scale * C * (full**2 - empty**2) / 2)}
+        empty, full = (each(self.u_oc, self.T_start, soc) for soc in (0.0, 1.0))
+        C = each(self.C_bulk, self.T_start) + each(self.C_surface, self.T_start)
+        return {"energy": plain(self.n_modules * self.capacity_scale * C * (full**2 - empty**2) / 2)}
 
 
 class Flows(NamedTuple):

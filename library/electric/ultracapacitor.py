@@ -37,7 +37,7 @@ class UltracapacitorParameters(StoreParameters):
 
     def ratings(self) -> Mapping[str, float]:
         """Return the energy of the full pack at its start temperature [J]."""
-        return {"energy": float(self.n_modules * self.capacity_scale * self.C(self.T_start) * self.u_max**2 / 2)}
+        return {"energy": plain(self.n_modules * self.capacity_scale * each(self.C, self.T_start) * self.u_max**2 / 2)}
 
 
 @dataclass(frozen=True)
