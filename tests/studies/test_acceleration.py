@@ -1,8 +1,8 @@
 import pytest
 
 from halfshaft import Vehicle, accelerate
-from halfshaft.cosim import acceleration
 from halfshaft.cosim.compiled import InterpretedStep
+from halfshaft.studies import acceleration
 
 CAR = Vehicle.load("small-car-electric")
 
