@@ -45,7 +45,7 @@ docs: .venv/.installed-docs  ## build the manual in build/site
 
 clean:  ## remove what the other targets made, except .venv
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find src library models fmu_build cosim validation tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src library models fmu_build cosim studies validation app tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamps say what is installed; an environment without them, made by hand, is completed.
 .venv/bin/python:

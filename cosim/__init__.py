@@ -1,1 +1,1 @@
-"""Runs: cycles, results, test procedures, studies and the command line."""
+"""Runs: cycles, results, accounts, pictures, and FMUs of whole vehicles."""

@@ -21,7 +21,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 from halfshaft import Cycle, Vehicle, component_names, plot_run, run
-from halfshaft.cosim.cli_show import any_component
+from halfshaft.app.show import any_component
 from halfshaft.cosim.maps import plot_maps
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.parameters import Parameters, Spec, spec_of

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import typer.main
 
-from halfshaft.cosim.cli import app
+from halfshaft.app.cli import app
 from halfshaft.library.files.catalog import component_kinds
 
 ROOT = Path(__file__).parents[1]

@@ -16,7 +16,7 @@ def imported(*arguments: str) -> set[str]:
     """Return which of the heavy packages a command imports, in a process of its own."""
     code = f"""
 import sys
-from halfshaft.cosim.cli import app
+from halfshaft.app.cli import app
 try:
     app({list(arguments)!r})
 except SystemExit as end:

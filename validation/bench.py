@@ -17,13 +17,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from halfshaft.cosim.acceleration import DT, prepared
 from halfshaft.cosim.compiled import InterpretedStep, Mode
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
 from halfshaft.fmu_build.compiler import find_compiler
 from halfshaft.library.base.errors import CompileError, SolveError
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import DT, prepared
 from halfshaft.validation import paper
 from halfshaft.validation.handwritten import Twin
 from halfshaft.validation.powertrains import first_of_each

@@ -11,13 +11,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import NamedTuple
 
-from halfshaft.cosim.acceleration import T_START, prepared, time_to
 from halfshaft.cosim.compiled import Mode
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run
 from halfshaft.library.base.errors import SolveError
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.acceleration import T_START, prepared, time_to
 
 #: Lengths of the step [s].
 STEPS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)

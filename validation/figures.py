@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfshaft.cosim.acceleration import T_START
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.result import Result
+from halfshaft.studies.acceleration import T_START
 
 Place: TypeAlias = Literal["upper left", "upper right", "center right", "lower right"] | tuple[float, float]
 

@@ -25,7 +25,7 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("library", "models", "fmu_build", "cosim")
+FOLDERS = ("library", "models", "fmu_build", "cosim", "studies", "app")
 #: A mutant whose tests take longer than this hangs, which is noticed [s].
 PATIENCE = 900
 

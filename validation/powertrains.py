@@ -10,13 +10,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
-from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.forward import Driver
 from halfshaft.cosim.simulate import Via, run
 from halfshaft.library.base.errors import SolveError
 from halfshaft.models.powertrain import powertrains
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.acceleration import accelerate
 
 CYCLES = ("udds", "hwfet", "us06")
 TASKS = (*CYCLES, "0-100 km/h")

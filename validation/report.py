@@ -9,7 +9,6 @@ from string import Template
 from typing import Any, NamedTuple
 
 from halfshaft import __version__
-from halfshaft.cosim.cli_output import console, new_table, print_line
 from halfshaft.validation import paper
 from halfshaft.validation.powertrains import HEAD, Row, cells
 
@@ -99,48 +98,15 @@ class Sheet(NamedTuple):
 
 def report(result: Mapping[str, Any], light: Mapping[str, bytes], dark: Mapping[str, bytes]) -> str:
     """Return the page; `light` and `dark` hold each figure as a PNG for a page of that kind."""
-    sentences = _sentences(result["figures"])
+    said = sentences(result["figures"])
     return _PAGE.substitute(
         source=escape(paper.SOURCE),
         version=escape(__version__),
         key=_key(result["tables"]),
-        tables="\n".join(map(_table, [*sheets(result["tables"]), _powertrains(result["powertrains"])])),
+        tables="\n".join(map(_table, [*sheets(result["tables"]), powertrain_sheet(result["powertrains"])])),
         notes="\n".join(f'<p class="note">{escape(note)}</p>' for note in result["notes"]),
-        figures="\n".join(_figure(n, image, dark[n], sentences[n]) for n, image in light.items()),
+        figures="\n".join(_figure(n, image, dark[n], said[n]) for n, image in light.items()),
     )
-
-
-def print_report(result: Mapping[str, Any]) -> None:
-    """Print the tables, what the figures show and the notes."""
-    for sheet in sheets(result["tables"]):
-        print_line(f"Table {sheet.number}. {sheet.title}", "bold")
-        # Upright, so that it fits a narrow terminal: a line for each column of the page.
-        table = new_table()
-        table.add_column("")
-        table.add_column("")
-        for name, _ in sheet.rows:
-            table.add_column(name, justify="right", no_wrap=True)
-        place = 0
-        for group, columns in sheet.groups:
-            for i, column in enumerate(columns):
-                cells = [row[place] for _, row in sheet.rows]
-                table.add_row("" if i else group, column, *(f"[bold]{text}[/]" if own else text for text, own in cells))
-                place += 1
-            table.add_section()
-        console().print(table)
-    sheet = _powertrains(result["powertrains"])
-    print_line(f"Table {sheet.number}. {sheet.title}", "bold")
-    flat = new_table()
-    for head in ("", *HEAD):
-        flat.add_column(head, justify="right" if head else "left", no_wrap=True)
-    for name, row in sheet.rows:
-        flat.add_row(name, *(text for text, _ in row))
-    console().print(flat)
-    print_line("Figures", "bold")
-    for number, sentence in _sentences(result["figures"]).items():
-        print_line(f"  {number:>2}  {_TITLES[number]}. {sentence}")
-    for note in result["notes"]:
-        print_line(f"  ! {note}", "yellow")
 
 
 def sheets(tables: Mapping[str, Any]) -> list[Sheet]:
@@ -198,7 +164,7 @@ def _table(sheet: Sheet) -> str:
     return f'<div class="card">{caption}<div class="scroll">{table}</div></div>'
 
 
-def _powertrains(rows: Sequence[Mapping[str, Any]]) -> Sheet:
+def powertrain_sheet(rows: Sequence[Mapping[str, Any]]) -> Sheet:
     """Return the table of all powertrains, which the paper does not have."""
     title = "Every powertrain by the step at 1 s and forward-facing; not in the paper."
     shown = [(f"{row['vehicle']}, {row['task']}", [(text, True) for text in cells(Row(**row))]) for row in rows]
@@ -247,7 +213,7 @@ def _speed(t: Mapping[str, Any]) -> Sheet:
 
 
 #: What each figure shows.
-_TITLES = {
+TITLES = {
     "2": "Force at the tyres",
     "3": "Speed asked for, allowed and achieved",
     "5": "Torque of the motor",
@@ -258,7 +224,8 @@ _TITLES = {
 }
 
 
-def _sentences(facts: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
+def sentences(facts: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
+    """Return what each figure shows, in a sentence."""
     two, three, five, six, seven, nine, ten = (facts[n] for n in ("2", "3", "5", "6", "7", "9", "10"))
     behind = ", ".join(f"{x:.1f}" for x in ten.values())
     return {
@@ -281,6 +248,6 @@ def _figure(number: str, light: bytes, dark: bytes, sentence: str) -> str:
     return (
         f'<figure class="card{wide}"><picture><source srcset="{night}" media="(prefers-color-scheme: dark)">'
         f'<img src="{day}" alt="Figure {number}: {escape(sentence)}"></picture>'
-        f"<figcaption><b>Figure {number}.</b> {escape(_TITLES[number])}<span><b>Paper:</b> {escape(paper.FIGURES[number])}</span>"
+        f"<figcaption><b>Figure {number}.</b> {escape(TITLES[number])}<span><b>Paper:</b> {escape(paper.FIGURES[number])}</span>"
         f"<span><b>Here:</b> {escape(sentence)}</span></figcaption></figure>"
     )

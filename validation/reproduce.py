@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.compiled import MODES, Mode
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run
 from halfshaft.library.base.errors import InputError, SolveError
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import accelerate
 from halfshaft.validation import paper
 from halfshaft.validation.figures import DARK, LIGHT, Drawing, acceleration_drawings, deviations_drawing, png, speeds_drawing
 from halfshaft.validation.powertrains import TASKS, comparison, first_of_each

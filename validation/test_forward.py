@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
 from halfshaft.library.files.component_file import component_names
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.acceleration import accelerate
 from halfshaft.validation import paper
 
 PAPER_CARS = [name for name in vehicle_names() if name.startswith("paper")]

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from halfshaft.cosim.acceleration import accelerate
     from halfshaft.cosim.cycle import Cycle, cycle_names
     from halfshaft.cosim.fmu import build_fmu
     from halfshaft.cosim.plot import plot_run
@@ -14,6 +13,7 @@ if TYPE_CHECKING:
     from halfshaft.library.base.errors import HalfshaftError, InputError
     from halfshaft.library.files.component_file import component_names
     from halfshaft.models.vehicle import Vehicle, vehicle_names
+    from halfshaft.studies.acceleration import accelerate
 
 __all__ = [
     "Cycle",
@@ -38,7 +38,7 @@ _HOMES = {
     "InputError": "library.base.errors",
     "Result": "cosim.result",
     "Vehicle": "models.vehicle",
-    "accelerate": "cosim.acceleration",
+    "accelerate": "studies.acceleration",
     "build_fmu": "cosim.fmu",
     "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",

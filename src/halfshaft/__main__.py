@@ -6,7 +6,7 @@ import sys
 def main() -> None:
     """Run the command line."""
     try:
-        from halfshaft.cosim.cli import app
+        from halfshaft.app.cli import app
 
         app()
     except KeyboardInterrupt:

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import accelerate
 from halfshaft.validation.powertrains import first_of_each
 
 vehicle_of = cache(Vehicle.load)

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from halfshaft.cosim.acceleration import accelerate
 from halfshaft.cosim.account import account
 from halfshaft.cosim.compiled import stepper
 from halfshaft.cosim.cycle import Cycle, cycle_names
@@ -19,6 +18,7 @@ from halfshaft.library.electric.battery import Battery
 from halfshaft.models.assembly import step_turning
 from halfshaft.models.powertrains.electric import electric
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.acceleration import accelerate
 
 CAR = Vehicle.load("small-car-electric")
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from halfshaft.cosim.acceleration import prepared, time_to
 from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.cosim.cycle import Cycle, Samples, acceleration_cycle
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.acceleration import prepared, time_to
 
 vehicle_of = cache(Vehicle.load)
 ELECTRIC = "small-car-electric"

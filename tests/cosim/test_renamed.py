@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from halfshaft.cosim.acceleration import accelerate
-from halfshaft.cosim.cli import app
+from halfshaft.app.cli import app
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.facts import energy_rows, facts, in_html
 from halfshaft.cosim.plot import plot_run
@@ -19,6 +18,7 @@ from halfshaft.models.model import Model
 from halfshaft.models.powertrain import Derived, Powertrain, powertrains
 from halfshaft.models.rules import GensetLocus, SumOfParts, TopSpeed
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import accelerate
 
 NAMES = {
     "body": "chassis", "wheel": "tyres", "final_drive": "axle_gear", "gearbox": "box", "shift": "lever", "clutch": "disc",

@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from halfshaft.cosim.acceleration import prepared, time_to
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.simulate import run
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.acceleration import prepared, time_to
 
 vehicle_of, cycle_of = cache(Vehicle.load), cache(Cycle.load)
 CONVENTIONAL = "small-car-conventional"

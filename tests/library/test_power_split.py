@@ -4,13 +4,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from halfshaft.cosim.acceleration import prepared, time_to
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.simulate import run
 from halfshaft.library.base.ports import Electric, Shaft
 from halfshaft.library.electric.motor import Motor
 from halfshaft.models.assembly import step_turning
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import prepared, time_to
 
 CAR = Vehicle.load("small-car-power-split")
 PARTS = CAR.components()

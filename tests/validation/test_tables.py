@@ -2,13 +2,14 @@ import json
 
 import pytest
 
-from halfshaft.cosim.acceleration import accelerate
+from halfshaft.app.commands.reproduce import print_report
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import accelerate
 from halfshaft.validation import paper, powertrains
 from halfshaft.validation.figures import acceleration_drawings, deviations_drawing, png
-from halfshaft.validation.report import print_report, report
+from halfshaft.validation.report import report
 from halfshaft.validation.reproduce import I_MAX, figure_facts
 
 CARS = {f"{m} kg": Vehicle.load(f"paper-series-{m}") for m in paper.MASSES}

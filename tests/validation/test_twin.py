@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from halfshaft.cosim.acceleration import acceleration_cycle
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import parameters_of, stepper_of
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import acceleration_cycle
 from halfshaft.validation.handwritten import Twin
 
 CAR = Vehicle.load("small-car-electric")

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 import halfshaft
+from halfshaft.app.cli import app
 from halfshaft.cosim import simulate
-from halfshaft.cosim.cli import app
 
 KEYS = {
     "distance_m", "duration_s", "fuel_L", "fuel_economy_L_per_100km", "motor_input_J", "soc_start", "soc_end",
@@ -437,7 +437,7 @@ def test_show_reads_files(tmp_path):
 
 def test_output_survives_a_terminal_without_unicode():
     env = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    command = [sys.executable, "-c", "from halfshaft.cosim.cli import app; app()", "show", "small-car-series"]
+    command = [sys.executable, "-c", "from halfshaft.app.cli import app; app()", "show", "small-car-series"]
     result = subprocess.run(command, env=env, capture_output=True, check=False)
     assert result.returncode == 0
     assert result.stdout.isascii()
@@ -539,7 +539,7 @@ def test_without_a_compiler_the_header_says_so(tmp_path):
 
 def test_a_shell_can_complete_names():
     env = {**os.environ, "_HALFSHAFT_COMPLETE": "complete_bash", "COMP_WORDS": "halfshaft run small-car-e", "COMP_CWORD": "2"}
-    command = [sys.executable, "-c", "from halfshaft.cosim.cli import app; app(prog_name='halfshaft')"]
+    command = [sys.executable, "-c", "from halfshaft.app.cli import app; app(prog_name='halfshaft')"]
     result = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert "small-car-electric" in result.stdout.split()
     assert all(name.startswith("small-car-e") for name in result.stdout.split())

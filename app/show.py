@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from halfshaft.cosim.cli_output import console, new_table
+from halfshaft.app.output import console, new_table
 from halfshaft.cosim.cycle import Cycle, cycle_names
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import described

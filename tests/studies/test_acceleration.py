@@ -1,8 +1,8 @@
 import pytest
 
 from halfshaft import Vehicle, accelerate
-from halfshaft.cosim import acceleration
 from halfshaft.cosim.compiled import InterpretedStep
+from halfshaft.studies import acceleration
 
 CAR = Vehicle.load("small-car-electric")
 
@@ -22,8 +22,8 @@ def test_without_a_compiler_the_default_is_the_hybrid_method(monkeypatch):
     from halfshaft.models.assembly import assemble
 
     interpreted = InterpretedStep(assemble(CAR.model()))
-    for place in ("acceleration", "simulate"):
-        monkeypatch.setattr(f"halfshaft.cosim.{place}.stepper_of", lambda _: interpreted)
+    for place in ("studies.acceleration", "cosim.simulate"):
+        monkeypatch.setattr(f"halfshaft.{place}.stepper_of", lambda _: interpreted)
     found = accelerate(CAR)
     assert found.result.inputs.mode == "hybrid"
     assert not found.result.inputs.compiled

@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,9 +28,9 @@ from halfshaft.cosim.units import Units, shown
 from halfshaft.library.base.errors import HalfshaftError
 
 if TYPE_CHECKING:
-    from halfshaft.cosim.acceleration import Acceleration
     from halfshaft.cosim.result import Result
     from halfshaft.models.vehicle import Vehicle
+    from halfshaft.studies.acceleration import Acceleration
 
 #: Exit codes as shells have them for a program that a signal ended: of an interrupt, and of a pipe that nobody reads.
 INTERRUPTED, NOBODY_READS = 130, 141
@@ -261,19 +261,3 @@ def print_acceleration(car: Vehicle, to: float, runs: Mapping[str, Acceleration]
     if first.time is None:
         top, duration = first.result.highest[first.result.tags.the("speed")], first.result.figures["duration_s"]
         out.print(f"  [yellow]highest speed {shown('speed', top, units, 1)} within {duration:g} s[/]")
-
-
-def print_bench(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print what was timed."""
-    table = new_table()
-    for heading in ("measured", "value", "unit", "target", "note"):
-        table.add_column(heading, justify="right" if heading == "value" else "left", overflow="fold", no_wrap=heading in ("value", "unit"))
-    for row in rows:
-        table.add_row(*(escape(_cell(row[key])) for key in ("name", "value", "unit", "target", "note")))
-    console().print(table)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

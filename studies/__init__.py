@@ -1,0 +1,1 @@
+"""Studies of vehicles: batches of runs, tests, sweeps and sizing."""
