@@ -19,7 +19,20 @@ import numpy as np
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.library.base.parameters import DESCRIBED, Parameters, Rated, Spec, described, numbers, spec_of, tables
+from halfshaft.library.base.parameters import (
+    DESCRIBED,
+    Parameters,
+    Rated,
+    Spec,
+    all_numbers,
+    array_problems,
+    described,
+    numbers,
+    outside,
+    plain,
+    spec_of,
+    tables,
+)
 from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
@@ -95,14 +108,14 @@ class Vehicle:
         return frozenset(self.given)
 
     @cached_property
-    def values(self) -> dict[str, float]:
+    def values(self) -> dict[str, Any]:
         """All numbers by ``role.parameter``, the entries of a row by ``role.parameter_1`` and so on."""
-        return {f"{role}.{name}": value for role, p in self.parameters.items() for name, _, value in numbers(p)}
+        return {f"{role}.{name}": plain(value) for role, p in self.parameters.items() for name, _, value in all_numbers(p)}
 
     @property
     def mass(self) -> float:
         """Test mass [kg]."""
-        return self.values[self.tags.the("vehicle mass")]
+        return float(self.values[self.tags.the("vehicle mass")])
 
     @cached_property
     def tags(self) -> Tags:
@@ -113,6 +126,11 @@ class Vehicle:
     def specs(self) -> dict[str, Spec]:
         """Unit, meaning and bounds of all numbers."""
         return _specs(self.parts)
+
+    @cached_property
+    def rated(self) -> dict[str, Rated]:
+        """What can be set in place of factors, by ``role.rating``."""
+        return _rated(self.parts)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -145,6 +163,25 @@ class Vehicle:
         given = _numbers(reader, self.parts, plain, "", plain=True)
         reader.finish(f"vehicle '{self.name}'")
         return replace(self, given={**_without_rivals(self.parts, self.given, given), **given}, source=_source_on(self))
+
+    def with_arrays(self, values: Mapping[str, Any]) -> Vehicle:
+        """Return a vehicle that stands for many, as `with_values`, but that values may be arrays, with an entry for each [SI].
+
+        Its numbers are arrays where the vehicles differ; only a batch can run it.
+        """
+        reader, specs = Reader(), self.specs | {name: rated.spec for name, rated in self.rated.items()}
+        arrays: dict[str, Any] = {name: x for name, x in values.items() if isinstance(x, np.ndarray)}
+        # Names are checked with numbers that are allowed in place of the arrays; these then, as a whole.
+        given = _numbers(reader, self.parts, {**values, **{name: self.values.get(name, 1.0) for name in arrays}}, "", plain=True)
+        known = not reader.problems
+        reader.problems += [problem for name, x in arrays.items() if name in specs for problem in outside(name, specs[name], x)]
+        if known:
+            with np.errstate(all="ignore"):
+                fleet = replace(self, given=_without_rivals(self.parts, self.given, given) | given | arrays, source=_source_on(self))
+                reader.problems += [f"{role}.{problem}" for role, p in fleet.parameters.items() for problem in array_problems(p)]
+        reader.problems = list(dict.fromkeys(reader.problems))
+        reader.finish(f"vehicle '{self.name}'")
+        return fleet
 
     def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library or paths of files."""

@@ -228,12 +228,12 @@ def tables(p: Parameters) -> Iterator[tuple[str, Table]]:
             yield name, getattr(p, name)
 
 
-def plain(x: Any) -> Any:
-    """Return a number as Python's own, and an array as it is."""
-    return x if isinstance(x, np.ndarray) else float(x)
+def plain(x: Any) -> float:
+    """Return a number as Python's own, and an array, which stands for many, as it is."""
+    return x if isinstance(x, np.ndarray) else float(x)  # type: ignore[return-value]
 
 
-def each(function: Callable[..., float], *arguments: Any) -> Any:
+def each(function: Callable[..., Any], *arguments: Any) -> Any:
     """Return a function of numbers and maps; where numbers are arrays, of each of their distinct entries."""
     arrays = [x for x in arguments if isinstance(x, np.ndarray)]
     if not arrays:
@@ -250,17 +250,21 @@ def array_problems(p: Parameters) -> Iterator[str]:
     """Yield what is wrong with the numbers of a set that are arrays: what `Parameters` itself says of plain numbers."""
     arrays = {name: (spec, x) for name, spec, x in all_numbers(p) if isinstance(x, np.ndarray)}
     for name, (spec, x) in arrays.items():
-        if (bad := spec.outside(x)).any():
-            yield f"{name} = {spec.shown(x[bad.argmax()])}{where_broken(bad)}, must be {spec.allowed() or 'a finite number'}"
+        yield from outside(name, spec, x)
     for relation in p.relations if arrays else ():
         broken = relation.broken(p)
         if isinstance(broken, np.ndarray) and broken.any():
             one = {name: x[broken.argmax()] if isinstance(x, np.ndarray) else x for name, x in vars(p).items()}
-            yield f"{relation.message.format_map(one)}{where_broken(broken)}"
+            yield f"{relation.message.format_map(one)}{_where(broken)}"
 
 
-def where_broken(bad: Any) -> str:
-    """Return in which entries something is wrong."""
+def outside(name: str, spec: Spec, values: Any) -> Iterator[str]:
+    """Yield which entries of an array lie outside the bounds."""
+    if (bad := spec.outside(values)).any():
+        yield f"{name} = {spec.shown(values[bad.argmax()])}{_where(bad)}, must be {spec.allowed() or 'a finite number'}"
+
+
+def _where(bad: Any) -> str:
     n = int(bad.sum())
     return f" at index {bad.argmax()}{f' and {n - 1} more' if n > 1 else ''}"
 

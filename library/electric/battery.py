@@ -20,7 +20,7 @@ import numpy as np
 
 from halfshaft.library.base.component import State, face, plant
 from halfshaft.library.base.expressions import clip, where
-from halfshaft.library.base.parameters import table
+from halfshaft.library.base.parameters import each, plain, table
 from halfshaft.library.base.ports import Electric, Expr
 from halfshaft.library.base.tables import Table
 from halfshaft.library.electric.store import CHARGE, TEMPERATURE, Source, Store, StoreParameters

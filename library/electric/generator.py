@@ -20,7 +20,7 @@ import casadi as ca
 from halfshaft.library.base.component import ROTOR, Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
 from halfshaft.library.base.links import kinetic_rate
-from halfshaft.library.base.parameters import Parameters, Rated, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, each, param, plain, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 

@@ -29,7 +29,7 @@ from halfshaft.library.base.component import From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import Link, TwoSided, continuous, inertia, limit
-from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, each, param, plain, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 

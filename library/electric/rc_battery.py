@@ -25,7 +25,7 @@ import numpy as np
 
 from halfshaft.library.base.component import State, Variable, face, plant
 from halfshaft.library.base.expressions import clip
-from halfshaft.library.base.parameters import Relation, table
+from halfshaft.library.base.parameters import Relation, each, plain, table
 from halfshaft.library.base.ports import Electric, Expr
 from halfshaft.library.base.tables import Table
 from halfshaft.library.electric.store import CHARGE, TEMPERATURE, Source, Store, StoreParameters

@@ -20,7 +20,7 @@ import casadi as ca
 
 from halfshaft.library.base.component import State, Variable, face, plant
 from halfshaft.library.base.expressions import where
-from halfshaft.library.base.parameters import table
+from halfshaft.library.base.parameters import each, plain, table
 from halfshaft.library.base.ports import Electric, Expr
 from halfshaft.library.base.tables import Table
 from halfshaft.library.electric.store import SOC_EMPTY, TEMPERATURE, Source, Store, StoreParameters
