@@ -52,6 +52,7 @@ _C = {
     "row": "p[{first} + {0}] + {1} * (p[{first} + 1 + {0}] - p[{first} + {0}])",
     **{name: f"{name}({{0}})" for name in ("sqrt", "fabs", "exp", "log", "tanh", "sin", "cos", "atan", "floor", "ceil")},
 }  # fmt: skip
+_TYPES = {"number": "double", "flag": "int", "interval": "int"}
 
 
 def compiled_tables(named: Mapping[str, Table]) -> dict[str, ca.Function]:
@@ -71,7 +72,7 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
     p = ca.SX.sym("p", len(step.parameters))
     starter.inputs(p=p)
     first = starter.values(step.start.call([p])[0])
-    unpack = [f"  const {'int' if graph.is_flag(name) else 'double'} {name} = q[{i}];" for i, name in enumerate(kept)]
+    unpack = [f"  const {_TYPES[graph.kind(name)]} {name} = q[{i}];" for i, name in enumerate(kept)]
     lines = [*unpack, *(_line(op, graph) for op in stepped)]
     n_rows = sum(len(graph.tables[name].values) for name in graph.rows)
     parts = [
@@ -116,7 +117,7 @@ def _line(op: Op, graph: Graph) -> str:
         c = f"{op.about}_at({''.join(f'{name}, ' for name in op.of)}0)"
     else:
         c = _C[op.what].format(*op.of, about=op.about, first=graph.rows.get(op.about, 0))
-    return f"  const {'int' if op.is_flag or op.is_interval else 'double'} {op.name} = {c};"
+    return f"  const {_TYPES[op.kind]} {op.name} = {c};"
 
 
 def _stores(vector: str, names: Sequence[str]) -> list[str]:

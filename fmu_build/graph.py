@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -37,6 +37,10 @@ _KEEP_FLAG = ("sq", "max")
 ZERO = f"({(0.0).hex()})"
 
 
+#: What a value is: a flag is 0 or 1, an interval a position on an axis.
+Kind: TypeAlias = Literal["number", "flag", "interval"]
+
+
 class Op(NamedTuple):
     """One operation: the name of its value, what it does, the names of what it takes, and the axis or table that it reads.
 
@@ -51,14 +55,9 @@ class Op(NamedTuple):
     about: str = ""
 
     @property
-    def is_flag(self) -> bool:
-        """Whether it gives a flag."""
-        return self.what in _FLAGS.values() or self.what == "true"
-
-    @property
-    def is_interval(self) -> bool:
-        """Whether it gives the interval of an axis."""
-        return self.what == "find"
+    def kind(self) -> Kind:
+        """What its value is."""
+        return "flag" if self.what in _FLAGS.values() or self.what == "true" else "interval" if self.what == "find" else "number"
 
 
 @dataclass
@@ -98,9 +97,9 @@ class Graph:
         """Add what the expressions need; return their names."""
         return [self._node(expressions[i]) for i in range(expressions.numel())]
 
-    def is_flag(self, name: str) -> bool:
-        """Return whether a value is a flag."""
-        return name in self._by_name and self._by_name[name].is_flag
+    def kind(self, name: str) -> Kind:
+        """Return what a value is."""
+        return self._by_name[name].kind if name in self._by_name else "number"
 
     def used(self, ops: Sequence[Op], names: Iterable[str]) -> list[Op]:
         """Return the operations that values come from, in order."""
@@ -147,7 +146,7 @@ class Graph:
             parts = [self._flag(p) for p in parts]
         elif what == "only":
             parts = [self._flag(parts[0]), parts[1]]
-        flag = next((p for p in parts if self.is_flag(p)), "")
+        flag = next((p for p in parts if self.kind(p) == "flag"), "")
         if flag and what in _KEEP_FLAG and all(p in (flag, ZERO) for p in parts):
             return flag
         if flag and what == "mul":
@@ -157,7 +156,7 @@ class Graph:
 
     def _flag(self, name: str) -> str:
         """Return whether a value is not zero: found once, of parameters before the march."""
-        return name if self.is_flag(name) or name.startswith("(") else self._add("true", name)
+        return name if self.kind(name) == "flag" or name.startswith("(") else self._add("true", name)
 
     def _add(self, what: str, *of: str, about: str = "") -> str:
         key = (what, of, about)

@@ -16,16 +16,25 @@ one waits.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from halfshaft.fmu_build.graph import Op, StepGraph, step_graph
-from halfshaft.library.base.tables import Table
+from halfshaft.library.base.tables import Table, axis_bins
 from halfshaft.models.assembly import Step
 
 BLOCKS = 2
+#: Flags for the compiler by the width of vectors, the widest first, and what the processor must have for it.
+WIDTHS = {
+    "avx512": (("-mavx512f", "-mavx512dq", "-mavx512vl", "-mprefer-vector-width=512"), {"avx512f", "avx512dq", "avx512vl"}),
+    "avx2": (("-mavx2",), {"avx2"}),
+}
 #: Entries of tables that permutes of registers read.
 SIZES = (8, 16, 32)
 
@@ -37,12 +46,30 @@ _C = {
 #: How many of the first operands of an operation are flags, where any are.
 _FLAGS = {"not": 1, "and": 2, "or": 2, "only": 1, "choose": 1}
 
+_TYPES = {"number": "vd", "flag": "vm", "interval": "vi"}
+
 _HEAD = """
 #include "lanes.h"
 #define HS_BLOCKS {blocks}
 #define HS_LANES (HS_BLOCKS * W)
 #define HS_NL {kept}
 """
+
+
+@cache
+def widths() -> tuple[str, ...]:
+    """Return the widths of vectors that this machine's processor has, the widest first; Linux alone tells."""
+    try:
+        flags = re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    except OSError:
+        return ()
+    own = set(flags[1].split()) if flags else set()
+    return tuple(name for name, (_, needed) in WIDTHS.items() if needed <= own)
+
+
+def lanes_header() -> dict[str, str]:
+    """Return what the C of a step in lanes includes."""
+    return {"lanes.h": files("halfshaft.fmu_build").joinpath("c", "lanes.h").read_text(encoding="utf-8")}
 
 
 def lanes_code(step: Step, rows: Mapping[str, int] | None = None, blocks: int = BLOCKS) -> str:
@@ -78,7 +105,7 @@ class _Writer:
             self._store(name)
         yield _HEAD.format(blocks=self.blocks, kept=max(len(self.kept), 1))
         ops = self.found.stepped
-        yield from (axis_source(name, self.graph.axes[name]) for name in dict.fromkeys(op.about for op in ops if op.what == "find"))
+        yield from (axis_source(name, self.graph.axes[name]) for name in dict.fromkeys(op.about for op in ops if op.what in ("find", "place")))
         used = dict.fromkeys(op.about for op in ops if op.what == "table")
         yield from (self._table_source(name, self.graph.tables[name]) for name in used)
         yield "static int hs_prepare_lane(const double *p, double *q) {"
@@ -95,8 +122,7 @@ class _Writer:
 
     def _write(self, op: Op) -> None:
         for block in range(self.blocks):
-            kind = "vm" if op.is_flag else "vi" if op.is_interval else "vd"
-            self.lines.append(f"  const {kind} {op.name}_{block} = {self._c(op, block)};")
+            self.lines.append(f"  const {_TYPES[op.kind]} {op.name}_{block} = {self._c(op, block)};")
         self._store(op.name)
 
     def _c(self, op: Op, block: int) -> str:
@@ -104,11 +130,11 @@ class _Writer:
         if op.what == "find":
             return find(op.about, self.graph.axes[op.about], self._number(op.of[0], block))
         if op.what == "place":
-            axis, i = f"{op.about}_v", f"{op.of[1]}_{block}"
+            axis, i = f"{op.about}_v", self._value(op.of[1], block)
             x, n = self._number(op.of[0], block), len(self.graph.axes[op.about]) - 1
             return f"({x} - {pick(f'{axis}x', n, i)}) * {pick(f'{axis}s', n, i)}"
         if op.what in ("table", "row"):
-            places = [f"{name}_{block}" if k % 2 == 0 else self._number(name, block) for k, name in enumerate(op.of)]
+            places = [self._number(name, block) for name in op.of]
             if op.what == "row":
                 return f"v_row(q + {self.rows[op.about]} * HS_LANES + {block} * W, HS_LANES, {', '.join(places)})"
             return f"{op.about}_v({', '.join(places)})"
@@ -120,7 +146,7 @@ class _Writer:
     def _number(self, name: str, block: int) -> str:
         if name.startswith("("):
             return f"v_set{name}"
-        return f"v_number({self._value(name, block)})" if self.graph.is_flag(name) else self._value(name, block)
+        return f"v_number({self._value(name, block)})" if self.graph.kind(name) == "flag" else self._value(name, block)
 
     def _flag(self, name: str, block: int) -> str:
         return f"v_all({name} != 0)" if name.startswith("(") else self._value(name, block)
@@ -134,8 +160,9 @@ class _Writer:
         if own not in self.loaded:
             self.loaded.add(own)
             load = f"v_load({vector} + {at * self.blocks + block} * W)"
-            flag = self.graph.is_flag(name)
-            self.lines.append(f"  const {'vm' if flag else 'vd'} {own} = {f'v_ne({load}, v_set(0))' if flag else load};")
+            kind = self.graph.kind(name)
+            load = {"flag": f"v_ne({load}, v_set(0))", "interval": f"v_trunc({load})"}.get(kind, load)
+            self.lines.append(f"  const {_TYPES[kind]} {own} = {load};")
         return own
 
     def _store(self, name: str) -> None:
