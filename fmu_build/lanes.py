@@ -17,6 +17,7 @@ one waits.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from halfshaft.fmu_build.graph import Op, StepGraph, step_graph
-from halfshaft.library.base.tables import Table, axis_bins
+from halfshaft.library.base.tables import Table
 from halfshaft.models.assembly import Step
 
 BLOCKS = 2
@@ -89,6 +90,10 @@ class _Writer:
         for name, first in self.graph.rows.items():
             self.rows[name] = len(self.kept)
             self.kept += [f"p[{first + i}]" for i in range(len(self.graph.tables[name].values))]
+        divisors = Counter(op.of[1] for op in found.stepped if op.what == "div")
+        #: Divisors that are known before the step, and those of several quotients in it: for them their inverse is found.
+        self.kept += [f"1/{name}" for name in self.kept if name in divisors]
+        self.divisors = {name for name, n in divisors.items() if n > 1 and name.startswith("t")}
         self.place = {name: i for i, name in reversed([*enumerate(self.kept)])}
         self.lines: list[str] = []
         self.loaded: set[str] = set()
@@ -105,24 +110,33 @@ class _Writer:
             self._store(name)
         yield _HEAD.format(blocks=self.blocks, kept=max(len(self.kept), 1))
         ops = self.found.stepped
-        yield from (axis_source(name, self.graph.axes[name]) for name in dict.fromkeys(op.about for op in ops if op.what in ("find", "place")))
+        yield from (
+            axis_source(name, self.graph.axes[name]) for name in dict.fromkeys(op.about for op in ops if op.what in ("find", "place"))
+        )
         used = dict.fromkeys(op.about for op in ops if op.what == "table")
         yield from (self._table_source(name, self.graph.tables[name]) for name in used)
         yield "static int hs_prepare_lane(const double *p, double *q) {"
         yield "  double prepared[HS_NQ];\n  const int lost = hs_prepare(p, prepared);"
-        yield from (
-            f"  q[{i} * HS_LANES] = {name if name.startswith('p[') else f'prepared[{self.found.kept.index(name)}]'};"
-            for i, name in enumerate(self.kept)
-        )
+        yield from (f"  q[{i} * HS_LANES] = {self._prepared(name)};" for i, name in enumerate(self.kept))
         yield "  return lost;\n}\n"
-        yield "static inline void hs_step_lanes(const double *restrict x, const double *restrict u, const double *restrict q,"
+        yield "V void hs_step_lanes(const double *restrict x, const double *restrict u, const double *restrict q,"
         yield "                                 double *restrict xn, double *restrict y) {"
         yield from self.lines
         yield "}\n"
 
+    def _prepared(self, name: str) -> str:
+        """Return C of what a lane keeps."""
+        if name.startswith("1/"):
+            return f"hs_inverse({self._prepared(name[2:])})"
+        return name if name.startswith("p[") else f"prepared[{self.found.kept.index(name)}]"
+
     def _write(self, op: Op) -> None:
         for block in range(self.blocks):
             self.lines.append(f"  const {_TYPES[op.kind]} {op.name}_{block} = {self._c(op, block)};")
+            if op.name in self.divisors:
+                self.lines.append(
+                    f"  vm s{op.name}_{block};\n  const vd r{op.name}_{block} = v_inverse({op.name}_{block}, &s{op.name}_{block});"
+                )
         self._store(op.name)
 
     def _c(self, op: Op, block: int) -> str:
@@ -140,6 +154,11 @@ class _Writer:
             return f"{op.about}_v({', '.join(places)})"
         if op.what == "clip":
             return f"v_clip({self._number(op.of[0], block)}, {op.of[1]}, {op.of[2]})"
+        if op.what == "div" and (op.of[1] in self.divisors or f"1/{op.of[1]}" in self.place):
+            a, b = (self._number(name, block) for name in op.of)
+            if op.of[1] in self.divisors:
+                return f"v_quotient({a}, {b}, r{op.of[1]}_{block}, s{op.of[1]}_{block})"
+            return f"v_ratio({a}, {b}, {self._value(f'1/{op.of[1]}', block)})"
         of = [self._flag(name, block) if k < n_flags else self._number(name, block) for k, name in enumerate(op.of)]
         return _C[op.what].format(*of) if op.what in _C else f"v_{op.what}({', '.join(of)})"
 
@@ -179,18 +198,18 @@ class _Writer:
         if len(n) == 1:
             low, rise = _array(f"{name}_vy", _padded(y[:-1], n[0])), _array(f"{name}_vd", _padded(np.diff(y), n[0]))
             value = f"{pick(f'{name}_vy', n[0], 'i')} + t * {pick(f'{name}_vd', n[0], 'i')}"
-            return f"{low}{rise}static inline vd {name}_v(vi i, vd t) {{ return {value}; }}"
+            return f"{low}{rise}V vd {name}_v(vi i, vd t) {{ return {value}; }}"
         if len(n) == 2:
             y = y[:, :, None]
         # A cell has its two values at the low end of the first axis, each with its rise toward the high end.
-        rise = np.diff(y, axis=0)
-        cells = np.stack([y[:-1, :-1], rise[:, :-1], y[:-1, 1:], rise[:, 1:]], axis=-1)
+        rises = np.diff(y, axis=0)
+        cells = np.stack([y[:-1, :-1], rises[:, :-1], y[:-1, 1:], rises[:, 1:]], axis=-1)
         text = _array(f"{name}_vy", np.moveaxis(cells, 2, 0).ravel())
         cell = f"v_plus(v_times(i, {n[1]}), j)"
         if len(n) == 2:
-            return f"{text}static inline vd {name}_v(vi i, vd t, vi j, vd s) {{ return v_cell({name}_vy, {cell}, t, s); }}"
+            return f"{text}V vd {name}_v(vi i, vd t, vi j, vd s) {{ return v_cell({name}_vy, {cell}, t, s); }}"
         arguments = f"{name}_vy, {cell}, {n[0] * n[1]}, k, t, s, r"
-        return f"{text}static inline vd {name}_v(vi i, vd t, vi j, vd s, vi k, vd r) {{ return v_cells({arguments}); }}"
+        return f"{text}V vd {name}_v(vi i, vd t, vi j, vd s, vi k, vd r) {{ return v_cells({arguments}); }}"
 
 
 def _size(n: int) -> int:
@@ -231,11 +250,21 @@ def axis_source(name: str, points: Any) -> str:
     text = ends + _array(f"{name}_vx", _padded(points[:-1], n)) + _array(f"{name}_vs", _padded(1.0 / np.diff(points), n))
     if n <= SIZES[-1]:
         return text
-    bins, start = axis_bins(points)
-    edges = points[0] + (points[-1] - points[0]) * np.arange(1, bins + 1) / bins
-    # Rounding may put a number just above an edge into the bin below it.
-    rounds = int(np.max(np.searchsorted(points[1:-1], edges + 1e-9 * (points[-1] - points[0]), side="right") - start))
+    # A read from memory takes longer than a larger index.
+    for bins in (len(points) * 2**k for k in range(2, 8)):
+        start, rounds = _bins(points, bins)
+        if rounds < 2:
+            break
     scale = float(bins / (points[-1] - points[0])).hex()
     place = f"(x - v_set({float(points[0]).hex()})) * v_set({scale})"
     return f"""{text}static const int {name}_vb[] = {{{", ".join(map(str, start))}}};
-static inline vi {name}_vfind(vd x) {{ return v_find({name}_vb, {name}_vt, {bins}, {rounds}, {place}, x); }}"""
+V vi {name}_vfind(vd x) {{ return v_find({name}_vb, {name}_vt, {bins}, {rounds}, {place}, x); }}"""
+
+
+def _bins(points: Any, bins: int) -> tuple[Any, int]:
+    """Return the interval at which the search begins in each of equal bins, and how many it may have to go on."""
+    edges = points[0] + (points[-1] - points[0]) * np.arange(bins + 1) / bins
+    # Rounding may put a number just beside an edge into the other bin.
+    hair = 1e-9 * (points[-1] - points[0])
+    start = np.searchsorted(points[1:-1], edges[:-1] - hair, side="right")
+    return start, int(np.max(np.searchsorted(points[1:-1], edges[1:] + hair, side="right") - start))

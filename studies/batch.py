@@ -193,7 +193,8 @@ class _Job(ctypes.Structure):
     """``batch`` in ``batch.c``."""
 
     _fields_ = (
-        ("runs", ctypes.c_long), ("next", ctypes.c_long), *((name, ctypes.c_void_p) for name in ("order", "traces", "trace_of", "p", "x", "x_of")),
+        ("runs", ctypes.c_long), ("next", ctypes.c_long),
+        *((name, ctypes.c_void_p) for name in ("order", "traces", "trace_of", "p", "x", "x_of")),
         ("n_x", ctypes.c_long), ("found", ctypes.c_void_p), ("history", ctypes.c_void_p), ("rows", ctypes.c_long),
         ("lost", ctypes.c_void_p), ("unsolved", ctypes.c_void_p), ("mode", ctypes.c_int),
     )  # fmt: skip

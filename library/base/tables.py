@@ -183,7 +183,10 @@ def axis_source(name: str, points: npt.NDArray[np.float64]) -> str:
 
     A small index over equal bins tells where to start; one or two comparisons finish the search.
     """
-    bins, start = axis_bins(points)
+    bins = 4 * len(points)
+    edges = points[0] + (points[-1] - points[0]) * np.arange(bins) / bins
+    # Rounding may put a number just below an edge into the bin above it: start a hair early.
+    start = np.clip(np.searchsorted(points, edges - 1e-9 * (points[-1] - points[0]), side="right") - 1, 0, len(points) - 2)
     return f"""
 static const double {name}_x[] = {_numbers(points)};
 static const double {name}_s[] = {_numbers(1.0 / np.diff(points))};
@@ -194,14 +197,6 @@ static inline int {name}_find(double x) {{
   while (i < {len(points) - 2} && x >= {name}_x[i + 1]) ++i;
   return i;
 }}"""
-
-
-def axis_bins(points: npt.NDArray[np.float64]) -> tuple[int, npt.NDArray[np.intp]]:
-    """Return into how many equal bins an axis is cut, and the interval at which the search begins in each."""
-    bins = 4 * len(points)
-    edges = points[0] + (points[-1] - points[0]) * np.arange(bins) / bins
-    # Rounding may put a number just below an edge into the bin above it: start a hair early.
-    return bins, np.clip(np.searchsorted(points, edges - 1e-9 * (points[-1] - points[0]), side="right") - 1, 0, len(points) - 2)
 
 
 def clip_source(x: str, points: npt.NDArray[np.float64]) -> str:
