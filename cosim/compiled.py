@@ -22,10 +22,9 @@ import numpy.typing as npt
 from halfshaft.cosim.cycle import Samples
 from halfshaft.cosim.ways import MODES as MODES
 from halfshaft.cosim.ways import Mode as Mode
-from halfshaft.fmu_build.code import compiled_tables, step_code
+from halfshaft.fmu_build.code import step_code
 from halfshaft.fmu_build.compiler import SlowWarning, shared_library
 from halfshaft.library.base.errors import CompileError, InputError, SolveError
-from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.model import Model
 
@@ -113,11 +112,12 @@ class Stepper(Protocol):
 
 def stepper(model: Model, title: str = "") -> Stepper:
     """Return the fastest stepper that this machine can make for a model."""
+    step = assemble(model, title)
     try:
-        return CompiledStep(assemble(model, title, compiled_tables))
+        return CompiledStep(step)
     except CompileError as error:
         warnings.warn(f"running without compiled code, some 400 times slower: {error}", SlowWarning, stacklevel=3)
-        return InterpretedStep(assemble(model, title, interpolants))
+        return InterpretedStep(step)
 
 
 def _address(array: Array | None) -> int | None:

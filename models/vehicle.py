@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 from importlib.resources.abc import Traversable
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -112,7 +112,7 @@ class Vehicle:
     @cached_property
     def specs(self) -> dict[str, Spec]:
         """Unit, meaning and bounds of all numbers."""
-        return _specs(self.parts)
+        return dict(_known(tuple(self.parts.items())).specs)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -170,7 +170,7 @@ class Vehicle:
         for target, rule in self.rules.items():
             values = {f.name: getattr(rule, f.name) for f in fields(rule)}
             derive[target] = inline({"rule": rule.name, **written(type(rule), values)})
-        specs = self.specs | {name: rated.spec for name, rated in _rated(self.parts).items()}
+        specs = self.specs | {name: rated.spec for name, rated in _known(tuple(self.parts.items())).rated.items()}
         sections: dict[str, Mapping[str, Any]] = {
             "parts": {role: part.place(folder) for role, part in self.parts.items()},
             "set": {name: quantity(value, specs[name]) for name, value in self.given.items()},
@@ -207,25 +207,38 @@ def _tags(kinds: tuple[tuple[str, type[Parameters]], ...]) -> Tags:
     return Tags({name: tag for name, tag in found if tag})
 
 
-def _specs(parts: Parts) -> dict[str, Spec]:
+class _Known(NamedTuple):
+    """What of some parts can be set by name: numbers, ratings in place of factors; and what are maps."""
+
+    specs: Mapping[str, Spec]
+    rated: Mapping[str, Rated]
+    maps: frozenset[str]
+
+
+# Studies set numbers of the same parts again and again.
+@lru_cache(maxsize=64)
+def _known(parts: tuple[tuple[str, ComponentFile], ...]) -> _Known:
     specs = {}
-    for role, part in parts.items():
+    for role, part in parts:
         for f in fields(part.component.parameters):
             spec = spec_of(f)
             row = part.values.get(f.name, () if f.default is MISSING else f.default) if spec.row else ()
             names = [f"{f.name}_{i}" for i in range(1, len(row) + 1)] if spec.row else [] if spec.axes else [f.name]
             specs.update({f"{role}.{name}": spec for name in names})
-    return specs
+    rated = {f"{role}.{rated.name}": rated for role, part in parts for rated in part.component.parameters.rated}
+    maps = frozenset(f"{role}.{f.name}" for role, part in parts for f in fields(part.component.parameters) if spec_of(f).axes)
+    return _Known(specs, rated, maps)
 
 
-def _rated(parts: Parts) -> dict[str, Rated]:
-    """Return what can be typed in place of factors, by ``role.rating``."""
-    return {f"{role}.{rated.name}": rated for role, part in parts.items() for rated in part.component.parameters.rated}
+@lru_cache(maxsize=256)
+def _built(part: ComponentFile, values: tuple[tuple[str, Any], ...], typed: tuple[tuple[str, float], ...]) -> Parameters:
+    """Return the parameter set of a part with numbers set; the same one again for the same numbers."""
+    return part.build(**dict(values)).rescaled(dict(typed))
 
 
 def _without_rivals(parts: Parts, given: Mapping[str, float], new: Mapping[str, float]) -> dict[str, float]:
     """Return what was given but for ratings and factors that new ones stand for."""
-    rated = _rated(parts)
+    rated = _known(tuple(parts.items())).rated
 
     def factor(name: str) -> str:
         return f"{name.partition('.')[0]}.{rated[name].scale}" if name in rated else name
@@ -236,9 +249,8 @@ def _without_rivals(parts: Parts, given: Mapping[str, float], new: Mapping[str, 
 
 def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str, *, plain: bool = False) -> dict[str, float]:
     """Return numbers by ``role.parameter`` in SI."""
-    rated = _rated(parts)
-    specs = _specs(parts) | {name: r.spec for name, r in rated.items()}
-    maps = {f"{role}.{f.name}" for role, part in parts.items() for f in fields(part.component.parameters) if spec_of(f).axes}
+    known, rated, maps = _known(tuple(parts.items()))
+    specs = {**known, **{name: r.spec for name, r in rated.items()}}
     for name in (n for n in values if n in maps):
         role = name.partition(".")[0]
         factors = " or ".join(n for n in specs if n.startswith(f"{role}.") and n.endswith("_scale"))
@@ -397,7 +409,7 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
     problems: list[str] = []
     values = {role: dict(part.values) for role, part in vehicle.parts.items()}
     typed: dict[str, dict[str, float]] = {role: {} for role in vehicle.parts}
-    ratings = _rated(vehicle.parts)
+    ratings = _known(tuple(vehicle.parts.items())).rated
     for name, x in vehicle.given.items():
         role, _, parameter = name.partition(".")
         if name in ratings:
@@ -429,7 +441,9 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
 
     def build(role: str) -> None:
         try:
-            sets[role] = vehicle.parts[role].build(**values[role]).rescaled(typed[role])
+            part = vehicle.parts[role]
+            own = tuple((name, x) for name, x in values[role].items() if x is not part.values.get(name))
+            sets[role] = _built(part, own, tuple(typed[role].items()))
         except InputError as e:
             problems.extend(f"{role}: {p}" for p in e.problems)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -136,9 +136,11 @@ class Parameters:
                 outside = "clipped" if spec.clip else "extrapolated"
                 problems.append(f"{f.name} has {len(value.points)} axes, must have {len(spec.axes)} and be {outside} outside of them")
             if isinstance(value, Table):
-                numbers: list[Any] = list(value.values.flat)
+                # The ends tell for all, and are not numbers where one is none.
+                ends: tuple[float, float] = value.values.min(), value.values.max()
+                numbers: Iterable[Any] = () if spec.holds(ends[0]) and spec.holds(ends[1]) else value.values.flat
             else:
-                numbers = list(value) if spec.row else [value]
+                numbers = value if spec.row else (value,)
             bad = [x for x in numbers if isinstance(x, int | float) and not spec.holds(x)]
             if bad:
                 problems.append(f"{f.name} = {spec.shown(bad[0])}, must be {spec.allowed() or 'a finite number'}")
