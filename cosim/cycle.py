@@ -221,6 +221,14 @@ class Cycle:
         step: so nothing between is lost, and the distance is the trace's.  Grades are read in the same way.
         """
         dt = number(dt)
+        kept: tuple[float, Samples] | None = self.__dict__.get("_sampled")
+        if kept is None or kept[0] != dt:
+            kept = dt, self._sample(dt)
+            # Runs ask for the same again and again.
+            self.__dict__["_sampled"] = kept
+        return kept[1]
+
+    def _sample(self, dt: float) -> Samples:
         if not (math.isfinite(dt) and dt > TIME_STEP):
             raise InputError(f"cycle '{self.name}'", [f"dt = {dt:g} s, must be > {TIME_STEP:g} s"])
         if self.duration / dt > MOST_STEPS:
@@ -247,6 +255,8 @@ class Cycle:
             grade = np.zeros(n) if self.grade is None else np.interp(t, self.time, self.grade)
         # Between a point with the key on and one with it off, the key is on.
         key_on = np.ones(n) if self.key_on is None else (np.interp(t, self.time, self.key_on) > 0).astype(float)
+        for x in (t, steps, v, grade, key_on):
+            x.flags.writeable = False
         return Samples(t, steps, v, grade, key_on, float(v_start), self.grade_by_distance)
 
     def smoothed(self, width: float) -> Cycle:

@@ -7,7 +7,7 @@ import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -109,16 +109,26 @@ class Made:
         energies, powers = ({role: r[what] for role, r in rated.items() if what in r} for what in ("energy", "traction power"))
         return Ratings(sum(energies.values()) if energies else None, sum(powers.values()) if powers else None, energies)
 
+    @property
+    def date(self) -> str:
+        """When the run was made, UTC."""
+        return datetime.fromtimestamp(self.time, UTC).isoformat(timespec="seconds")
+
+    @property
+    def machine(self) -> str:
+        """Operating system and processor."""
+        return f"{platform.system()} {platform.release()} {platform.machine()}"
+
     @cached_property
     def origin(self) -> Origin:
         """What the run was made of, in full."""
         return Origin(
             vehicle=_text("vehicle", self.vehicle, self.vehicle.to_toml()),
-            cycle=_text("cycle", self.cycle, _csv(self.cycle)),
+            cycle=_cycle(self.cycle),
             parts={role: _part(part) for role, part in self.vehicle.parts.items()},
-            date=datetime.fromtimestamp(self.time, UTC).isoformat(timespec="seconds"),
-            machine=f"{platform.system()} {platform.release()} {platform.machine()}",
-            versions={"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+            date=self.date,
+            machine=self.machine,
+            versions=_versions(),
             ratings=self.ratings,
         )
 
@@ -140,6 +150,16 @@ class Hashes(Mapping[str, str]):
     def __len__(self) -> int:
         """Return how many there are."""
         return 1 + len(self._made.vehicle.parts)
+
+
+@lru_cache(maxsize=16)
+def _cycle(cycle: Cycle) -> Text:
+    return _text("cycle", cycle, _csv(cycle))
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
 @lru_cache(maxsize=256)

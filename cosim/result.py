@@ -183,17 +183,16 @@ class Result:
         import xarray as xr  # takes a fifth of a second
 
         rows = self._rows
-        series = {d.name: xr.DataArray(rows[:, i], dims="time", attrs=_attributes(d)) for i, d in enumerate(self.outputs)}
-        time = xr.DataArray(self.time, dims="time", attrs={"units": "s", "long_name": "end of the step", "axis": "T"})
+        series = {d.name: ("time", rows[:, i], _attributes(d)) for i, d in enumerate(self.outputs)}
+        time = ("time", self.time, {"units": "s", "long_name": "end of the step", "axis": "T"})
         attributes = {
             "Conventions": "CF-1.11",
             "title": f"{self.inputs.vehicle} over {self.inputs.cycle}",
             "source": f"halfshaft {self.inputs.version}, {self.inputs.via}, {self.inputs.mode}, steps of {self.inputs.dt:g} s",
-            "result": json.dumps(self._plain()),
         }
-        if self.origin is not None:
-            attributes["history"] = f"{self.origin.date}: made on {self.origin.machine}"
-        return xr.Dataset(series, coords={"time": time}, attrs=attributes)
+        if self.made is not None:
+            attributes["history"] = f"{self.made.date}: made on {self.made.machine}"
+        return xr.Dataset(series, {"time": time}, attributes)
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -268,7 +267,7 @@ class Result:
 
         """
         # HDF5 does not take a full disk well, so the file is made in memory.
-        content = self.dataset.to_netcdf(engine="h5netcdf")
+        content = self.dataset.assign_attrs(result=json.dumps(self._plain())).to_netcdf(engine="h5netcdf")
         with written_whole(path) as part:
             part.write_bytes(content)
         return Path(path)

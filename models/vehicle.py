@@ -19,7 +19,7 @@ import numpy as np
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.library.base.parameters import DESCRIBED, Parameters, Rated, Spec, described, numbers, spec_of, tables
+from halfshaft.library.base.parameters import DESCRIBED, Parameters, Rated, Spec, described, spec_of
 from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
@@ -97,7 +97,7 @@ class Vehicle:
     @cached_property
     def values(self) -> dict[str, float]:
         """All numbers by ``role.parameter``, the entries of a row by ``role.parameter_1`` and so on."""
-        return {f"{role}.{name}": value for role, p in self.parameters.items() for name, _, value in numbers(p)}
+        return {f"{role}.{name}": value for role, p in self.parameters.items() for name, value in p.values.items()}
 
     @property
     def mass(self) -> float:
@@ -128,10 +128,7 @@ class Vehicle:
         """What is built into the code of the vehicle: its parts and tables, not its numbers."""
         return (
             self.powertrain,
-            *(
-                (role, type(part), tuple(name for name, *_ in numbers(part.p)), tuple((f, t.key) for f, t in tables(part.p)))
-                for role, part in self.components().items()
-            ),
+            *((role, part.component, *self.parameters[role].structure) for role, part in self.parts.items()),
         )
 
     def components(self) -> dict[str, Component]:

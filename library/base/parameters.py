@@ -163,6 +163,16 @@ class Parameters:
         factors = {r.scale: getattr(self, r.scale) * typed[r.name] / r.of(self) for r in self.rated if r.name in typed}
         return replace(self, **factors) if factors else self
 
+    @cached_property
+    def structure(self) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
+        """Names of the numbers, and the content of the tables by name: what is built into code."""
+        return tuple(name for name, *_ in numbers(self)), tuple((name, t.key) for name, t in tables(self))
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """The numbers by name, the entries of a row as ``name_1``, ``name_2`` and so on."""
+        return {name: value for name, _, value in numbers(self)}
+
     def ratings(self) -> Mapping[str, float]:
         """Return what the part is rated at: ``energy`` of a store [J], ``traction power`` of what drives [W]."""
         return {}
