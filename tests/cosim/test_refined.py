@@ -86,7 +86,7 @@ def test_steps_without_a_reachable_speed_are_counted_and_said(monkeypatch):
     def some_lost(*args, **options):
         done = march(*args, **options)
         assert done.unsolved == 0
-        return type(done)(**{**vars(done), "unsolved": 3})
+        return done._replace(unsolved=3)
 
     monkeypatch.setattr(type(compiled), "march", some_lost)
     assert any("3 steps reach no speed at all" in w for w in run(vehicle_of(ELECTRIC), acceleration_cycle(), mode="refined").warnings)
