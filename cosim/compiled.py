@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from importlib.resources import files
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -95,7 +95,8 @@ def stepper(model: Model, title: str = "") -> Stepper:
         return InterpretedStep(step)
 
 
-def _address(array: Array | None) -> int | None:
+def address(array: npt.NDArray[Any] | None) -> int | None:
+    """Return where an array begins, for C."""
     # Half the time of ``array.ctypes.data``; a dozen of them count beside a cycle.
     return None if array is None else int(array.__array_interface__["data"][0])
 
@@ -128,7 +129,7 @@ def _doubles(what: str, values: npt.ArrayLike, n: int) -> Array:
     return array if array.flags.aligned else array.copy()
 
 
-def _read_by_c(samples: Samples) -> Samples:
+def read_by_c(samples: Samples) -> Samples:
     """Return samples as C reads them."""
     n, grades = len(samples.t), samples.grade_by_distance
     return samples._replace(
@@ -140,26 +141,30 @@ def _read_by_c(samples: Samples) -> Samples:
     )
 
 
+def march_code(step: Step) -> str:
+    """Return the C of a step and of the loop that drives it."""
+    the = step.tags.the
+    positions = {
+        "HS_X_V": step.state_index[the("speed")],
+        "HS_X_DISTANCE": step.state_index[the("distance")],
+        "HS_X_MISSED": step.state_index[the("missed")],
+        "HS_P_MISS": step.parameter_index[the("miss threshold")],
+        "HS_Y_REQUEST": step.output_index[the("request")],
+        "HS_Y_MISS": step.output_index[the("miss")],
+        "HS_Y_OVERSPEED": step.output_index[the("overspeed")],
+    }
+    defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
+    decisions = [*step.decisions, -1]
+    defines += f"static const int hs_decisions[] = {{{', '.join(map(str, decisions))}}};\n"
+    return step_code(step) + defines + files("halfshaft.cosim").joinpath("march.c").read_text()
+
+
 class CompiledStep:
     """A step in a shared library of its own."""
 
     def __init__(self, step: Step) -> None:
         self.step = step
-        the = step.tags.the
-        positions = {
-            "HS_X_V": step.state_index[the("speed")],
-            "HS_X_DISTANCE": step.state_index[the("distance")],
-            "HS_X_MISSED": step.state_index[the("missed")],
-            "HS_P_MISS": step.parameter_index[the("miss threshold")],
-            "HS_Y_REQUEST": step.output_index[the("request")],
-            "HS_Y_MISS": step.output_index[the("miss")],
-            "HS_Y_OVERSPEED": step.output_index[the("overspeed")],
-        }
-        defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
-        decisions = [*step.decisions, -1]
-        defines += f"static const int hs_decisions[] = {{{', '.join(map(str, decisions))}}};\n"
-        loop = files("halfshaft.cosim").joinpath("march.c").read_text()
-        self._library = ctypes.CDLL(str(shared_library(step_code(step) + defines + loop, step.name)))
+        self._library = ctypes.CDLL(str(shared_library(march_code(step), step.name)))
         for name, types in _ARGUMENTS.items():
             getattr(self._library, name).argtypes = types
         self._library.hs_march.restype = ctypes.c_long
@@ -168,7 +173,7 @@ class CompiledStep:
         """Return the start state."""
         state = np.empty(len(self.step.states))
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
-        self._library.hs_first(_address(parameters), _address(state))
+        self._library.hs_first(address(parameters), address(state))
         return state
 
     def __call__(self, state: Array, request: Array, parameters: Array) -> tuple[Array, Array]:
@@ -186,7 +191,7 @@ class CompiledStep:
             _doubles("request", request, len(self.step.requests)),
             _doubles("parameters", parameters, len(self.step.parameters)),
         )
-        if self._library.hs_one(*(_address(x) for x in (*inputs, following, outputs))):
+        if self._library.hs_one(*(address(x) for x in (*inputs, following, outputs))):
             raise SolveError(f"{self.step.name}: an input or a result of the step is not a number")
         return following, outputs
 
@@ -202,7 +207,7 @@ class CompiledStep:
 
         """
         n, n_outputs, n_states = len(samples.t), len(self.step.outputs), len(self.step.states)
-        samples = _read_by_c(samples)
+        samples = read_by_c(samples)
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = np.empty(n_states) if state is None else _doubles("state", state, n_states).copy()
         rows = np.empty((n, n_outputs)) if history else None
@@ -210,9 +215,9 @@ class CompiledStep:
         counts = (ctypes.c_long * 2)()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
-            n, *map(_address, (samples.dt, samples.v, samples.grade, samples.key_on)),
-            0 if distance is None else len(distance), *map(_address, (distance, grade, parameters)),
-            state is not None, *map(_address, (x, rows, *totals)), MODES.index(mode), counts,
+            n, *map(address, (samples.dt, samples.v, samples.grade, samples.key_on)),
+            0 if distance is None else len(distance), *map(address, (distance, grade, parameters)),
+            state is not None, *map(address, (x, rows, *totals)), MODES.index(mode), counts,
         )  # fmt: skip
         if done < n:
             raise _lost(self.step.name, samples, done, self.step.output_index, None if history else sums)
@@ -246,7 +251,7 @@ class InterpretedStep:
         """Run a whole cycle; only the plain hybrid mode."""
         if mode != "hybrid":
             raise CompileError(f"the {mode} mode needs a C compiler")
-        samples = _read_by_c(samples)
+        samples = read_by_c(samples)
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = self.first(parameters) if state is None else _doubles("state", state, len(self.step.states))
         distance = self.step.state_index[self.step.tags.the("distance")]

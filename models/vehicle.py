@@ -19,7 +19,16 @@ import numpy as np
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.library.base.parameters import DESCRIBED, Parameters, Rated, Spec, described, spec_of
+from halfshaft.library.base.parameters import (
+    DESCRIBED,
+    Parameters,
+    Rated,
+    Spec,
+    array_problems,
+    described,
+    outside,
+    spec_of,
+)
 from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
@@ -95,14 +104,14 @@ class Vehicle:
         return frozenset(self.given)
 
     @cached_property
-    def values(self) -> dict[str, float]:
+    def values(self) -> dict[str, Any]:
         """All numbers by ``role.parameter``, the entries of a row by ``role.parameter_1`` and so on."""
         return {f"{role}.{name}": value for role, p in self.parameters.items() for name, value in p.values.items()}
 
     @property
     def mass(self) -> float:
         """Test mass [kg]."""
-        return self.values[self.tags.the("vehicle mass")]
+        return float(self.values[self.tags.the("vehicle mass")])
 
     @cached_property
     def tags(self) -> Tags:
@@ -113,6 +122,11 @@ class Vehicle:
     def specs(self) -> dict[str, Spec]:
         """Unit, meaning and bounds of all numbers."""
         return dict(_known(tuple(self.parts.items())).specs)
+
+    @cached_property
+    def rated(self) -> dict[str, Rated]:
+        """What can be set in place of factors, by ``role.rating``."""
+        return dict(_known(tuple(self.parts.items())).rated)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -142,6 +156,25 @@ class Vehicle:
         given = _numbers(reader, self.parts, plain, "", plain=True)
         reader.finish(f"vehicle '{self.name}'")
         return replace(self, given={**_without_rivals(self.parts, self.given, given), **given}, source=_source_on(self))
+
+    def with_arrays(self, values: Mapping[str, Any]) -> Vehicle:
+        """Return a vehicle that stands for many, as `with_values`, but that values may be arrays, with an entry for each [SI].
+
+        Its numbers are arrays where the vehicles differ; only a batch can run it.
+        """
+        reader, specs = Reader(), self.specs | {name: rated.spec for name, rated in self.rated.items()}
+        arrays: dict[str, Any] = {name: x for name, x in values.items() if isinstance(x, np.ndarray)}
+        # Names are checked with numbers that are allowed in place of the arrays; these then, as a whole.
+        given = _numbers(reader, self.parts, {**values, **{name: self.values.get(name, 1.0) for name in arrays}}, "", plain=True)
+        known = not reader.problems
+        reader.problems += [problem for name, x in arrays.items() if name in specs for problem in outside(name, specs[name], x)]
+        if known:
+            with np.errstate(all="ignore"):
+                fleet = replace(self, given=_without_rivals(self.parts, self.given, given) | given | arrays, source=_source_on(self))
+                reader.problems += [f"{role}.{problem}" for role, p in fleet.parameters.items() for problem in array_problems(p)]
+        reader.problems = list(dict.fromkeys(reader.problems))
+        reader.finish(f"vehicle '{self.name}'")
+        return fleet
 
     def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library or paths of files."""
@@ -440,7 +473,14 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
         try:
             part = vehicle.parts[role]
             own = tuple((name, x) for name, x in values[role].items() if x is not part.values.get(name))
-            sets[role] = _built(part, own, tuple(typed[role].items()))
+            key = part, own, tuple(typed[role].items())
+            try:
+                hash(key)
+            except TypeError:
+                # Arrays, which stand for many vehicles.
+                sets[role] = _built.__wrapped__(*key)
+            else:
+                sets[role] = _built(*key)
         except InputError as e:
             problems.extend(f"{role}: {p}" for p in e.problems)
 

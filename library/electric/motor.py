@@ -29,7 +29,7 @@ from halfshaft.library.base.component import From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import Link, TwoSided, continuous, inertia, limit
-from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, each, param, plain, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -74,32 +74,36 @@ class MotorParameters(Parameters):
         return {"traction power": self.P_peak()}
 
 
-# A sweep asks for the same part again and again.
-@lru_cache(maxsize=64)
 def peak_power(p: MotorParameters) -> float:
     """Return the largest power at the shaft, overtorque included [W]."""
-    omega, tau = p.tau_max.points[0], p.tau_max.values
-    if omega[0] > 0 or omega[-1] < p.omega_max:
+    return plain(each(_peak, p.tau_max, p.omega_max) * p.overtorque * p.torque_scale * p.speed_scale)
+
+
+# A sweep asks for the same part again and again.
+@lru_cache(maxsize=64)
+def _peak(tau_max: Table, omega_max: float) -> float:
+    """Return the largest power under an envelope up to a speed [W]."""
+    omega, tau = tau_max.points[0], tau_max.values
+    if omega[0] > 0 or omega[-1] < omega_max:
         # The outermost pieces of the envelope are extended.
-        ends = np.array([0.0, p.omega_max])
-        omega, tau = np.append(omega, ends), np.append(tau, [p.tau_max(float(x)) for x in ends])
+        ends = np.array([0.0, omega_max])
+        omega, tau = np.append(omega, ends), np.append(tau, [tau_max(float(x)) for x in ends])
         order = np.argsort(omega, kind="stable")
         omega, tau = omega[order], tau[order]
-    inside = (omega >= 0) & (omega <= p.omega_max)
+    inside = (omega >= 0) & (omega <= omega_max)
     best = (tau * omega)[inside].max(initial=0.0)
     # Between two points the torque is a line, so the power is a parabola.
     slope = np.divide(np.diff(tau), np.diff(omega), out=np.zeros(len(omega) - 1), where=np.diff(omega) > 0)
     falls = slope < 0
     top = 0.5 * (omega[:-1][falls] - tau[:-1][falls] / slope[falls])
-    between = (top > omega[:-1][falls]) & (top < np.minimum(omega[1:][falls], p.omega_max))
-    best = max(best, (-slope[falls] * top**2)[between].max(initial=0.0))
-    return float(best * p.overtorque * p.torque_scale * p.speed_scale)
+    between = (top > omega[:-1][falls]) & (top < np.minimum(omega[1:][falls], omega_max))
+    return float(max(best, (-slope[falls] * top**2)[between].max(initial=0.0)))
 
 
 def best_efficiency(p: MotorParameters) -> float:
     """Return the best efficiency of the map while driving."""
     work, P = np.outer(*p.P_electric.points), p.P_electric.values
-    return float(p.efficiency_scale * np.max(np.divide(work, P, out=np.zeros_like(P), where=(work > 0) & (P > 0))))
+    return plain(p.efficiency_scale * np.max(np.divide(work, P, out=np.zeros_like(P), where=(work > 0) & (P > 0))))
 
 
 @dataclass(frozen=True)
