@@ -13,6 +13,7 @@ from rich.table import Table
 
 from halfshaft.app.output import console, new_table
 from halfshaft.cosim.cycle import Cycle, cycle_names
+from halfshaft.cosim.units import Units
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import described
 from halfshaft.library.base.tables import Table as Map
@@ -73,7 +74,7 @@ def print_named(name: str) -> None:
     if isinstance(found, Vehicle):
         _show_vehicle(found)
     elif isinstance(found, Cycle):
-        _show_cycle(found)
+        print_cycle(found)
     else:
         _show_component(found)
 
@@ -175,9 +176,10 @@ def _show_component(c: ComponentFile) -> None:
     console().print(table)
 
 
-def _show_cycle(c: Cycle) -> None:
+def print_cycle(c: Cycle, units: Units = "metric") -> None:
+    """Print the figures of a cycle."""
     _head(c.name, c.title, [("source", c.source)])
     table = _value_table("figure")
-    for row in c.figures():
+    for row in c.figures(units):
         table.add_row(*row)
     console().print(table)

@@ -11,9 +11,7 @@ from functools import cached_property, lru_cache
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from halfshaft.cosim.cycle import Array, Cycle
+from halfshaft.cosim.cycle import Cycle
 from halfshaft.library.files.component_file import ComponentFile
 from halfshaft.models.vehicle import Vehicle
 
@@ -154,15 +152,4 @@ def _text(kind: str, named: Any, text: str) -> Text:
 
 def _csv(cycle: Cycle) -> str:
     """Return a cycle as the text of its file; a grade over distance follows as a second one."""
-    notes = {"name": cycle.name, "title": cycle.title, "source": cycle.source}
-    head = [f"# {key}: {' '.join(note.split())}" for key, note in notes.items()]
-    columns = {"time_s": cycle.time, "speed_mps": cycle.speed, "grade": cycle.grade, "key_on": cycle.key_on}
-    lines = [*head, *_rows({title: x for title, x in columns.items() if x is not None})]
-    if cycle.grade_by_distance is not None:
-        distance, grade = cycle.grade_by_distance
-        lines += ["", *_rows({"distance_m": distance, "grade": grade})]
-    return "\n".join(lines) + "\n"
-
-
-def _rows(columns: Mapping[str, Array]) -> list[str]:
-    return [",".join(columns), *(",".join(map(repr, row)) for row in np.column_stack(list(columns.values())).tolist())]
+    return "\n".join(filter(None, cycle.texts()))

@@ -42,7 +42,7 @@ STYLE: Any = {
 #: What a reader sees for an SI unit: unit, factor and offset.
 EDGE = {"W": ("kW", 1e-3, 0.0), "m/s": ("km/h", 3.6, 0.0), "K": ("\u00b0C", 1.0, -273.15), "J": ("Wh", 1 / 3600, 0.0)}
 #: Units of the time axis by the length that they are good for [s].
-_TIMES = ((1800.0, "s", 1.0), (3 * 3600.0, "min", 60.0), (float("inf"), "h", 3600.0))
+TIMES = ((1800.0, "s", 1.0), (3 * 3600.0, "min", 60.0), (float("inf"), "h", 3600.0))
 _KINDS = {"lost": _ORANGE, "stored": _BLUE, "error of the method": "#a6a6a6"}
 #: Losses below this share of the turnover are summed up; other lines below that one are left out.
 _SMALL, _TINY = 0.005, 5e-4
@@ -153,7 +153,7 @@ class _Runs:
         self.results, self.labels = results, labels
         self.one = results[0] if len(results) == 1 else None
         begin, end = min(_start(r) for r in results), max(float(r.time[-1]) for r in results)
-        self.unit, self.second = next((unit, 1 / length) for longest, unit, length in _TIMES if end - begin <= longest)
+        self.unit, self.second = next((unit, 1 / length) for longest, unit, length in TIMES if end - begin <= longest)
         self.limits = begin * self.second, end * self.second
 
     def coloured(self) -> list[tuple[Result, Array, str, str]]:
@@ -344,7 +344,7 @@ def _speed(ax: Axes, runs: _Runs) -> None:
     # A request that nobody can follow, as in full acceleration, must not flatten what was achieved.
     ax.set_ylim(0, 1.1 * max(min(asked, 1.25 * fastest), fastest, 1.0))
     _over_time(ax, runs, "speed [km/h]")
-    _legend(ax)
+    legend(ax)
 
 
 def _grade(ax: Axes, runs: _Runs) -> None:
@@ -370,7 +370,7 @@ def _power(ax: Axes, runs: _Runs, powers: Sequence[tuple[str, str, str]]) -> Non
     ax.margins(y=0.08)
     ax.yaxis.set_major_locator(MaxNLocator(5))
     _over_time(ax, runs, "power [kW]")
-    _legend(ax)
+    legend(ax)
 
 
 def _output(ax: Axes, runs: _Runs, name: str, label: str) -> None:
@@ -469,7 +469,8 @@ def _energy(ax: Axes, runs: _Runs, bars: Sequence[Sequence[_Bar]]) -> None:
     ax.set_title("Where the energy went [Wh]", loc="left", fontsize=9.5, color=INK, pad=7)
 
 
-def _legend(ax: Axes) -> None:
+def legend(ax: Axes) -> None:
+    """Write the legend above the axes, on the left."""
     ax.legend(
         loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=4, handlelength=1.2, handletextpad=0.5,
         columnspacing=1.5, labelcolor=SOFT, fontsize=8.5, frameon=False,

@@ -39,6 +39,7 @@ _BOTH = {
     "energy": Unit("kWh", lambda J: J / 3.6e6, 3),
     "small energy": Unit("Wh", lambda J: J / 3600, 1),
     "power": Unit("kW", lambda W: W / 1e3, 1),
+    "time": Unit("s", lambda s: s, 1),
 }
 SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
     "metric": {
@@ -47,6 +48,7 @@ SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
         "range": Unit("km", lambda m: m / 1e3, 0),
         "way": Unit("m", lambda m: m, 1),
         "speed": Unit("km/h", lambda v: v * 3.6, 2),
+        "acceleration": Unit("m/s^2", lambda a: a, 3),
         "volume": Unit("L", lambda L: L, 4),
         "economy": Unit("L/100 km", lambda x: x, 3),
         "consumption": Unit("Wh/km", lambda x: x, 1),
@@ -57,6 +59,7 @@ SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
         "range": Unit("mi", lambda m: m / M_PER_MILE, 0),
         "way": Unit("ft", lambda m: m / M_PER_FOOT, 1),
         "speed": Unit("mph", lambda v: v * 3600 / M_PER_MILE, 2),
+        "acceleration": Unit("ft/s^2", lambda a: a / M_PER_FOOT, 3),
         "volume": Unit("gal", lambda L: L / L_PER_GALLON, 4),
         "economy": Unit("mpg", mpg, 2),
         "consumption": Unit("Wh/mi", lambda x: x * M_PER_MILE / 1e3, 1),
@@ -64,7 +67,7 @@ SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
 }  # fmt: skip
 
 
-def shown(quantity: str, value: float | None, units: Units = "metric", digits: int | None = None) -> str:
+def shown(quantity: str, value: float | None, units: Units = "metric", digits: int | None = None, form: str = "") -> str:
     """Return a value with its unit, or a dash where there is none.
 
     Parameters
@@ -77,9 +80,11 @@ def shown(quantity: str, value: float | None, units: Units = "metric", digits: i
         The system to show it in.
     digits
         Digits behind the point, if not those of the quantity.
+    form
+        A format in place of them, such as ``.5g``.
 
     """
     unit = SYSTEMS[units][quantity]
     if value is None or (value == 0 and unit.of is mpg):
         return "-"
-    return f"{unit.of(value):.{unit.digits if digits is None else digits}f} {unit.name}"
+    return f"{unit.of(value):{form or f'.{unit.digits if digits is None else digits}f'}} {unit.name}"
