@@ -115,6 +115,14 @@ class Checks:
         if path is not None and (problem := target_problem(path)):
             self.problem(f"{option} {path}: {problem}")
 
+    def picture(self, path: Path | None, option: str) -> None:
+        """Note a picture that cannot be drawn."""
+        self.target(path, option)
+        if path is not None:
+            from halfshaft.cosim.plot import plot_problems  # matplotlib takes a quarter of a second
+
+            self.problem(*(f"{option} {path}: {problem}" for problem in plot_problems(path)))
+
     def folder(self, path: Path | None, option: str) -> None:
         """Note a folder that cannot be made or written to."""
         if path is None:

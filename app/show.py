@@ -68,13 +68,13 @@ def _cycle_rows() -> Rows:
     return ["cycle", "time \\[s]", "distance \\[km]", "top \\[km/h]", "title"], rows
 
 
-def print_named(name: str) -> None:
+def print_named(name: str, units: Units = "metric") -> None:
     """Print all numbers of a vehicle, a component or a cycle."""
     found = _find(name)
     if isinstance(found, Vehicle):
         _show_vehicle(found)
     elif isinstance(found, Cycle):
-        print_cycle(found)
+        print_cycle(found, units)
     else:
         _show_component(found)
 
@@ -87,14 +87,14 @@ def print_toml(name: str) -> None:
     typer.echo(found.to_toml(), nl=False)
 
 
-def draw(name: str, path: Path) -> None:
+def draw(name: str, path: Path, units: Units) -> None:
     """Draw the maps of a component."""
     from halfshaft.cosim.maps import plot_maps
 
     found = _find(name)
     if not isinstance(found, ComponentFile):
         raise InputError(f"'{name}'", ["only the maps of a component are drawn; 'halfshaft show' names the components of a vehicle"])
-    plot_maps(found, path)
+    plot_maps(found, path, units)
 
 
 def _find(name: str) -> Vehicle | Cycle | ComponentFile:

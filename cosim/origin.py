@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NamedTuple
+
+import tomlkit
 
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.library.files.component_file import ComponentFile
@@ -78,6 +82,18 @@ class Origin:
         parts = {role: part._asdict() for role, part in self.parts.items()}
         texts = {"vehicle": self.vehicle._asdict(), "cycle": self.cycle._asdict(), "parts": parts}
         return {**self.__dict__, **texts, "ratings": self.ratings._asdict()}
+
+    def rebuilt(self) -> Vehicle:
+        """Return the vehicle, made again of the texts; its powertrain must be installed."""
+        with tempfile.TemporaryDirectory() as folder:
+            data = tomlkit.parse(self.vehicle.text)
+            data["parts"] = {role: f"{role}/{part.name}.toml" for role, part in self.parts.items()}
+            for role, part in self.parts.items():
+                Path(folder, role).mkdir()
+                Path(folder, role, f"{part.name}.toml").write_text(part.text, encoding="utf-8")
+            path = Path(folder, f"{self.vehicle.name}.toml")
+            path.write_text(tomlkit.dumps(data), encoding="utf-8")
+            return Vehicle.load(path)
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> Origin:

@@ -15,6 +15,8 @@ L_PER_GALLON = 3.785411784
 M_PER_MILE = 1609.344
 M_PER_FOOT = 0.3048
 WH_PER_GALLON = 33705.0
+KG_PER_POUND = 0.45359237
+N_PER_POUND = KG_PER_POUND * 9.80665
 
 
 class Unit(NamedTuple):
@@ -23,6 +25,36 @@ class Unit(NamedTuple):
     name: str
     of: Callable[[float], float]
     digits: int
+
+
+class Edge(NamedTuple):
+    """How a reader sees numbers of an SI unit: the unit, and factor and offset to it."""
+
+    name: str
+    factor: float
+    offset: float = 0.0
+
+
+_ALWAYS = {"W": Edge("kW", 1e-3), "J": Edge("Wh", 1 / 3600)}
+#: What is not named here is shown as it is.
+EDGES: Mapping[Units, Mapping[str, Edge]] = {
+    "metric": {**_ALWAYS, "m/s": Edge("km/h", 3.6), "K": Edge("\u00b0C", 1.0, -273.15)},
+    "us": {
+        **_ALWAYS,
+        "m/s": Edge("mph", 3600 / M_PER_MILE),
+        "K": Edge("\u00b0F", 1.8, -459.67),
+        "m": Edge("ft", 1 / M_PER_FOOT),
+        "m/s^2": Edge("ft/s^2", 1 / M_PER_FOOT),
+        "kg": Edge("lb", 1 / KG_PER_POUND),
+        "N": Edge("lbf", 1 / N_PER_POUND),
+        "N.m": Edge("lbf ft", 1 / N_PER_POUND / M_PER_FOOT),
+    },
+}
+
+
+def edge(unit: str, units: Units = "metric") -> Edge:
+    """Return how a reader sees an SI unit."""
+    return EDGES[units].get(unit, Edge(unit, 1.0))
 
 
 def mpg(L_per_100km: float) -> float:

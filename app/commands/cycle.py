@@ -72,11 +72,7 @@ def _cycle(
     if sum(part.times for part in parts) > _MOST:
         checks.problem(f"the trip has {sum(part.times for part in parts)} parts, must have at most {_MOST}")
     checks.target(out, "--out")
-    checks.target(plot, "--plot")
-    if plot is not None:
-        from halfshaft.cosim.plot import plot_problems  # matplotlib takes a quarter of a second
-
-        checks.problem(*(f"--plot {plot}: {p}" for p in plot_problems(plot)))
+    checks.picture(plot, "--plot")
     if out is not None and out.suffix.lower() != ".csv":
         checks.problem(f"--out {out}: a cycle is written as .csv")
     checks.raise_problems()
