@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache, cached_property, lru_cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
+import tomlkit
 
-from halfshaft.cosim.cycle import Array, Cycle
+from halfshaft.cosim.cycle import Cycle
 from halfshaft.library.files.component_file import ComponentFile
 from halfshaft.models.vehicle import Vehicle
 
@@ -80,6 +82,18 @@ class Origin:
         parts = {role: part._asdict() for role, part in self.parts.items()}
         texts = {"vehicle": self.vehicle._asdict(), "cycle": self.cycle._asdict(), "parts": parts}
         return {**self.__dict__, **texts, "ratings": self.ratings._asdict()}
+
+    def rebuilt(self) -> Vehicle:
+        """Return the vehicle, made again of the texts; its powertrain must be installed."""
+        with tempfile.TemporaryDirectory() as folder:
+            data = tomlkit.parse(self.vehicle.text)
+            data["parts"] = {role: f"{role}/{part.name}.toml" for role, part in self.parts.items()}
+            for role, part in self.parts.items():
+                Path(folder, role).mkdir()
+                Path(folder, role, f"{part.name}.toml").write_text(part.text, encoding="utf-8")
+            path = Path(folder, f"{self.vehicle.name}.toml")
+            path.write_text(tomlkit.dumps(data), encoding="utf-8")
+            return Vehicle.load(path)
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> Origin:
@@ -174,15 +188,4 @@ def _text(kind: str, named: Any, text: str) -> Text:
 
 def _csv(cycle: Cycle) -> str:
     """Return a cycle as the text of its file; a grade over distance follows as a second one."""
-    notes = {"name": cycle.name, "title": cycle.title, "source": cycle.source}
-    head = [f"# {key}: {' '.join(note.split())}" for key, note in notes.items()]
-    columns = {"time_s": cycle.time, "speed_mps": cycle.speed, "grade": cycle.grade, "key_on": cycle.key_on}
-    lines = [*head, *_rows({title: x for title, x in columns.items() if x is not None})]
-    if cycle.grade_by_distance is not None:
-        distance, grade = cycle.grade_by_distance
-        lines += ["", *_rows({"distance_m": distance, "grade": grade})]
-    return "\n".join(lines) + "\n"
-
-
-def _rows(columns: Mapping[str, Array]) -> list[str]:
-    return [",".join(columns), *(",".join(map(repr, row)) for row in np.column_stack(list(columns.values())).tolist())]
+    return "\n".join(filter(None, cycle.texts()))
