@@ -46,6 +46,14 @@ CycleName = Annotated[
 CycleNameOrNone = Annotated[
     str | None, typer.Option("--cycle", metavar="CYCLE", help="Name in the library, or a CSV file.", autocompletion=_cycles)
 ]
+VehicleNames = Annotated[
+    list[str],
+    typer.Argument(metavar="VEHICLE...", help="Names in the library, or TOML files.", show_default=False, autocompletion=_vehicles),
+]
+CycleNames = Annotated[
+    list[str] | None,
+    typer.Option("--cycle", metavar="CYCLE", help="Name in the library, or a CSV file; repeatable.", autocompletion=_cycles),
+]
 GradeFile = Annotated[str | None, typer.Option("--grade", metavar="CSV", help="Grade of the road over distance, with --cycle.")]
 Smooth = Annotated[float | None, typer.Option(metavar="S", help="Smooth the trace of a recorder over windows of so many seconds.")]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle, body.m.")]
