@@ -113,12 +113,12 @@ class Made:
     def origin(self) -> Origin:
         """What the run was made of, in full."""
         return Origin(
-            vehicle=_text("vehicle", self.vehicle, self.vehicle.to_toml()),
+            vehicle=vehicle_text(self.vehicle),
             cycle=_text("cycle", self.cycle, _csv(self.cycle)),
-            parts={role: _part(part) for role, part in self.vehicle.parts.items()},
+            parts={role: part_text(part) for role, part in self.vehicle.parts.items()},
             date=datetime.fromtimestamp(self.time, UTC).isoformat(timespec="seconds"),
-            machine=f"{platform.system()} {platform.release()} {platform.machine()}",
-            versions={"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+            machine=machine(),
+            versions=versions(),
             ratings=self.ratings,
         )
 
@@ -142,8 +142,24 @@ class Hashes(Mapping[str, str]):
         return 1 + len(self._made.vehicle.parts)
 
 
+def machine() -> str:
+    """Return operating system and processor."""
+    return f"{platform.system()} {platform.release()} {platform.machine()}"
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that make the numbers."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+def vehicle_text(vehicle: Vehicle) -> Text:
+    """Return a vehicle as the text of a file."""
+    return _text("vehicle", vehicle, vehicle.to_toml())
+
+
 @lru_cache(maxsize=256)
-def _part(part: ComponentFile) -> Text:
+def part_text(part: ComponentFile) -> Text:
+    """Return a component as the text of a file."""
     # Large maps take a tenth of a second to write.
     return _text(part.kind, part, part.to_toml())
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.library.files.component_file import Reader, shown
+from halfshaft.library.files.component_file import ComponentFile, Reader, shown
 
 if TYPE_CHECKING:
     from halfshaft.cosim.compiled import Array
@@ -51,6 +51,8 @@ class Axis:
         Those of a grid or a list; of an open range its two ends.
     open
         Whether a sample takes any number between the two values.
+    parts
+        The components that the values are the names of.
 
     """
 
@@ -59,6 +61,7 @@ class Axis:
     doc: str
     values: tuple[Value, ...]
     open: bool = False
+    parts: tuple[ComponentFile, ...] = ()
 
     @property
     def numeric(self) -> bool:
@@ -200,7 +203,9 @@ def _parts(vehicles: Sequence[Vehicle], role: str, given: Given, problems: list[
             found.append(car.with_parts({role: value}))
         except InputError as error:
             problems.extend(f"axis {problem}" for problem in error.problems if f"axis {problem}" not in problems)
-    return Axis(role, "", f"part in the role {role}", values), found
+    # Every vehicle has read the same ones.
+    parts = tuple(car.parts[role] for car in found[: len(values)])
+    return Axis(role, "", f"part in the role {role}", values, parts=parts), found
 
 
 def _numbers(name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sample: Sample | None, problems: list[str]) -> Axis:

@@ -6,85 +6,46 @@ is kept as its failure and stops no other one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+import json
+import pickle
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import nullcontext
+from dataclasses import is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from halfshaft.library.base.errors import HalfshaftError, InputError, nearest, not_a
 from halfshaft.models.vehicle import Vehicle
-from halfshaft.studies.design import VEHICLE, Design, Given, Sample, Value, design_of
+from halfshaft.studies.crew import Crew, cluster, cores, processes
+from halfshaft.studies.design import Design, Given, Sample, Value, design_of
+from halfshaft.studies.folder import Kept, kept
+from halfshaft.studies.identity import manifest
+from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from halfshaft.studies.task import Task
 
+Points: TypeAlias = Sequence[tuple[Value, ...]]
+Row: TypeAlias = tuple[int, tuple[Value, ...]]
+Add: TypeAlias = Callable[[Mapping[int, Point]], None]
 #: Unit of a figure by the end of its name, the longest that fits.
 UNITS = {
     "_m": "m", "_s": "s", "_L": "L", "_J": "J", "_W": "W", "_kg": "kg", "_mps": "m/s", "_mps2": "m/s^2", "_kmh": "km/h", "_mph": "mph",
     "_L_per_100km": "L/100 km", "_mpg": "mpg", "_MPGe": "MPGe", "_Wh_per_km": "Wh/km", "_kWh_per_100km": "kWh/100 km", "_pct": "%",
     "_g_per_km": "g/km",
 }  # fmt: skip
-#: Variables of the result that are no figures.
-FAILURE, NOTES = "failure", "notes"
-
-
-class Point(NamedTuple):
-    """What was found at a point: the figures of all tasks, what to know about them, and what went wrong."""
-
-    figures: Mapping[str, float | None]
-    notes: tuple[str, ...] = ()
-    failure: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """What is done at each point: all that another process needs to know."""
-
-    vehicles: tuple[Vehicle, ...]
-    names: tuple[str, ...]
-    tasks: tuple[Task, ...]
-
-    def structure(self, values: Sequence[Value]) -> tuple[Value, ...]:
-        """Return which vehicle and parts the point has."""
-        return tuple(value for name, value in zip(self.names, values, strict=True) if "." not in name)
-
-    def vehicle(self, values: Sequence[Value]) -> Vehicle:
-        """Return the vehicle of a point."""
-        given = dict(zip(self.names, values, strict=True))
-        car = self._with_parts(tuple((name, str(x)) for name, x in given.items() if "." not in name))
-        numbers = {name: x for name, x in given.items() if "." in name}
-        return car.with_values(numbers) if numbers else car
-
-    @lru_cache(maxsize=64)  # noqa: B019  a job lives as long as its process
-    def _with_parts(self, chosen: tuple[tuple[str, str], ...]) -> Vehicle:
-        parts = dict(chosen)
-        name = parts.pop(VEHICLE, self.vehicles[0].name)
-        car = next(car for car in self.vehicles if car.name == name)
-        return car.with_parts(parts) if parts else car
-
-    def at(self, values: Sequence[Value]) -> Point:
-        """Return what the tasks find at a point."""
-        try:
-            car = self.vehicle(values)
-        except HalfshaftError as error:
-            return Point({}, failure=str(error))
-        figures: dict[str, float | None] = {}
-        notes: list[str] = []
-        failures: list[str] = []
-        for task in self.tasks:
-            prefix, said = (f"{task.name}.", f"{task.name}: ") if len(self.tasks) > 1 else ("", "")
-            try:
-                outcome = task(car)
-                figures |= {prefix + name: x if x is None else float(x) for name, x in outcome.figures.items()}
-                notes += [said + note for note in outcome.notes]
-            # A task of the user's own may raise anything; that is no reason to lose the other points.
-            except Exception as error:
-                failures.append(f"{said}{error}" if isinstance(error, HalfshaftError) else f"{said}{type(error).__name__}: {error}")
-        return Point(figures, tuple(notes), "\n".join(failures))
+#: A sweep that takes no longer than this needs no other processes: they take as long to start [s].
+ALONE = 1.0
+#: A portion of work takes so long [s].
+PORTION = 1.0
+MOST_WORKERS = 1000
 
 
 def sweep(
@@ -95,6 +56,9 @@ def sweep(
     sample: str | Sample | None = None,
     seed: int = 0,
     responses: Sequence[str] = (),
+    folder: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> xr.Dataset:
     """Run tasks at all points of a grid or a sample.
@@ -115,36 +79,39 @@ def sweep(
     seed
         The same one draws the same points.
     responses
-        Which figures to keep; all that the tasks find, if none is named.
+        Which figures to return; all that the tasks find, if none is named.
+    folder
+        Keeps what is finished: after an interrupt or a crash the same call goes on where it was.  At the end it has all
+        of it as ``sweep.nc``.
+    workers
+        How many processes work; as many as there are cores, if it takes longer than their start.
+    scheduler
+        Address of a `dask.distributed` cluster whose workers do the work instead, such as ``tcp://10.0.0.1:8786``.
     progress
         Is told how many points are finished, and of how many.
 
     Returns
     -------
     xarray.Dataset
-        The figures over the axes, or over ``point`` for a sample; ``failure`` says why a point has none, ``notes`` what to know.
+        The figures over the axes, or over ``point`` for a sample; ``failure`` says why a point has none, ``notes`` what to
+        know.  Its attribute ``sweep`` is a JSON text of all that it was made of.
 
     Raises
     ------
     InputError
-        If vehicles, axes, sample or responses are not what they must be; everything that is wrong is named at once.
+        If vehicles, axes, sample or responses are not what they must be, the folder is that of another sweep or in use, or the
+        cluster is not there; everything that is wrong is named at once.
+    HalfshaftError
+        If a worker was lost; what was finished before is in the folder.
 
     """
-    job, design = _planned(vehicle, axes, tasks, sample, seed)
-    found: dict[int, Point] = {}
+    job, design = _planned(vehicle, axes, tasks, sample, seed, workers, scheduler)
     points = design.points
-    for i, values in _probing(job, points):
-        found[i] = job.at(values)
-        progress(len(found), len(points))
-        if not (problems := _lacking(job, responses, found.values())):
-            break
-    else:
-        raise InputError("sweep", problems)
-    for i, values in enumerate(points):
-        if i not in found:
-            found[i] = job.at(values)
-            progress(len(found), len(points))
-    return dataset(design, found, responses)
+    with kept(manifest(job.vehicles, design, job.tasks), folder, len(points)) as keeper:
+        _carry_out(job, points, keeper, responses, workers, scheduler, progress)
+        whole = dataset(design, keeper.found, keeper.manifest)
+        keeper.finish(whole)
+    return dataset(design, keeper.found, keeper.manifest, responses) if responses else whole
 
 
 def _planned(
@@ -153,6 +120,8 @@ def _planned(
     tasks: Task | Sequence[Task],
     sample: str | Sample | None,
     seed: int,
+    workers: int | None,
+    scheduler: str | None,
 ) -> tuple[Job, Design]:
     """Return what to do and where, or raise one error with all that is wrong."""
     vehicles = tuple(vehicle) if isinstance(vehicle, list | tuple) else (vehicle,)
@@ -173,13 +142,96 @@ def _planned(
         drawn = Sample("lhs", 2)
     if any(problem.startswith("vehicle must") for problem in problems):
         raise InputError("sweep", problems)
+    if workers is not None and scheduler is not None:
+        problems.append("takes workers on this machine or the scheduler of a cluster, not both")
+    if workers is not None and not 1 <= workers <= MOST_WORKERS:
+        problems.append(f"workers = {workers}, must be from 1 to {MOST_WORKERS}")
     design = design_of(vehicles, axes, drawn, problems)
     if problems:
         raise InputError("sweep", problems)
-    return Job(vehicles, tuple(axis.name for axis in design.axes), work), design
+    return Job(vehicles, design.axes, work), design
 
 
-def _probing(job: Job, points: Sequence[tuple[Value, ...]]) -> Iterator[tuple[int, tuple[Value, ...]]]:
+def _carry_out(
+    job: Job,
+    points: Points,
+    keeper: Kept,
+    responses: Sequence[str],
+    workers: int | None,
+    scheduler: str | None,
+    progress: Callable[[int, int], None],
+) -> None:
+    """Work out all points that are not finished yet."""
+
+    def add(found: Mapping[int, Point]) -> None:
+        keeper.add(found)
+        progress(len(keeper.found), len(points))
+
+    progress(len(keeper.found), len(points))
+    with cluster(scheduler) if scheduler else nullcontext() as remote:
+        _probe(job, points, keeper, responses, add)
+        # Those of one structure together: its code is loaded once, and each worker meets few of them.
+        left = sorted((i for i in range(len(points)) if i not in keeper.found), key=lambda i: job.structure(points[i]))
+        rows = deque((i, points[i]) for i in left)
+        if remote is not None:
+            _share_out(job, rows, remote, add)
+            return
+        hands = workers or cores()
+        if workers is None or hands == 1:
+            begin = time.monotonic()
+            while rows and (hands == 1 or time.monotonic() < begin + ALONE):
+                i, values = rows.popleft()
+                add({i: job.at(values)})
+        if rows:
+            with processes(min(hands, len(rows))) as crew:
+                _share_out(job, rows, crew, add)
+
+
+def _share_out(job: Job, rows: deque[Row], crew: Crew, add: Add) -> None:
+    """Hand out rows in portions of about a second, the last ones smaller so that all end together."""
+    content = pickle.dumps(job)
+    pending: set[Future[Done]] = set()
+    done, seconds = 0, 0.0
+
+    def take(futures: Iterable[Future[Done]]) -> None:
+        nonlocal done, seconds
+        for future in futures:
+            found = future.result()
+            done, seconds = done + len(found.points), seconds + found.seconds
+            add(found.points)
+
+    try:
+        while rows or pending:
+            while rows and len(pending) < 2 * crew.size:
+                fitting = int(PORTION * done / seconds) if done else 1
+                n = max(1, min(fitting, len(rows) // (2 * crew.size)))
+                pending.add(crew.submit(content, [rows.popleft() for _ in range(n)]))
+            finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+            take(finished)
+    except KeyboardInterrupt:
+        crew.stop()
+        take([future for future in pending if not future.cancel()])
+        raise
+    except HalfshaftError:
+        raise
+    # What a lost process or cluster raises has no common base.
+    except Exception as error:
+        raise HalfshaftError(f"sweep: a worker was lost: {type(error).__name__}: {error}") from error
+
+
+def _probe(job: Job, points: Points, keeper: Kept, responses: Sequence[str], add: Add) -> None:
+    """Work out points until every response was found at one of them; if one never is, raise an error."""
+    tried: list[Point] = []
+    for i, values in _probing(job, points):
+        if i not in keeper.found:
+            add({i: job.at(values)})
+        tried.append(keeper.found[i])
+        if not (problems := _lacking(job, responses, tried)):
+            return
+    raise InputError("sweep", problems)
+
+
+def _probing(job: Job, points: Points) -> Iterator[Row]:
     """Yield points that together show what the tasks find: the first one of each structure, and the last one of all."""
     seen = set()
     for i, values in enumerate(points):
@@ -206,7 +258,7 @@ def _lacking(job: Job, responses: Sequence[str], found: Collection[Point]) -> li
     return problems
 
 
-def dataset(design: Design, found: Mapping[int, Point], responses: Sequence[str] = ()) -> xr.Dataset:
+def dataset(design: Design, found: Mapping[int, Point], made: Mapping[str, Any], responses: Sequence[str] = ()) -> xr.Dataset:
     """Return what was found as a labelled dataset; without `responses` all that any point has."""
     import xarray as xr  # takes half a second
 
@@ -227,7 +279,15 @@ def dataset(design: Design, found: Mapping[int, Point], responses: Sequence[str]
         attributes = {"units": axis.unit, "long_name": axis.doc} if axis.numeric else {"long_name": axis.doc}
         row = np.array(values, dtype=float if axis.numeric else object)
         coordinates[axis.name] = (dims[0] if design.sample else axis.name, row, attributes)
-    return xr.Dataset(variables, coords=coordinates)
+    origin, what = made["origin"], made["sweep"]
+    attributes = {
+        "Conventions": "CF-1.11",
+        "title": f"{', '.join(what['vehicles'])}: {', '.join(what['tasks'])} over {', '.join(what['axes'])}",
+        "source": f"halfshaft {what['version']}",
+        "history": f"{origin['date']}: made on {origin['machine']}",
+        "sweep": json.dumps(made),
+    }
+    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
 def table(found: xr.Dataset) -> dict[str, list[Any]]:

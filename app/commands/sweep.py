@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 
 from halfshaft.app.options import Checks, CycleNames, Json, Mass, Soc, Values, VehicleNames
-from halfshaft.app.output import console, counted, new_table, print_json, print_line
+from halfshaft.app.output import console, counted, new_table, print_json, print_line, print_written
 from halfshaft.app.program import app
 from halfshaft.cosim.ways import Mode
 
@@ -35,7 +36,7 @@ MAIN = ("fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km", "energy_Wh_pe
       halfshaft sweep small-car-electric --cycle udds --axis body.m=1000..1600:7
       halfshaft sweep small-car-electric --cycle udds --axis motor.P_max="50..100 kW:6" --axis motor=ac-75kw,ac-83kw
       halfshaft sweep small-car-series small-car-parallel --cycle udds --cycle hwfet --axis body.c_d=0.25,0.3,0.35 --json
-      halfshaft sweep small-car-series --cycle us06 --axis body.m=1000..1600 --axis body.c_d=0.2..0.4 --sample sobol:64
+      halfshaft sweep small-car-series --cycle us06 --axis body.m=1000..1600 --axis body.c_d=0.2..0.4 --sample sobol:64 --out study
     """,
 )
 def _sweep(
@@ -49,6 +50,11 @@ def _sweep(
     response: Annotated[list[str] | None, typer.Option(metavar="NAME", help="A figure to keep, such as fuel_L; repeatable.")] = None,
     mode: Annotated[Mode, typer.Option(help="How each step is solved.")] = "hybrid",
     dt: Annotated[float, typer.Option(metavar="S", help="Length of the step [s].")] = 1.0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep what is finished in this folder; the same command goes on where it was.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(metavar="N", help="Processes; as many as there are cores if not given.")] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A dask cluster that works instead, tcp://HOST:PORT.")] = None,
     mass: Mass = None,
     values: Values = None,
     soc: Soc = None,
@@ -56,7 +62,8 @@ def _sweep(
 ) -> None:
     from halfshaft.cosim.cycle import Cycle
     from halfshaft.studies.design import read_axes
-    from halfshaft.studies.sweep import FAILURE, sweep, table
+    from halfshaft.studies.job import FAILURE
+    from halfshaft.studies.sweep import sweep, table
     from halfshaft.studies.task import Drive
 
     checks = Checks()
@@ -67,23 +74,34 @@ def _sweep(
     axes = read_axes(axis or (), checks.problem)
     if not traces:
         checks.problem("nothing to do: name a cycle, such as --cycle udds")
+    checks.folder(out, "--out")
     checks.raise_problems()
     found_cars = [car for car in cars if car is not None]
     tasks = [Drive(trace, mode, dt) for trace in traces if trace is not None]
     title = f"{', '.join(car.name for car in found_cars)} over {', '.join(task.name for task in tasks)}"
-    with counted(title) as progress:
-        found = sweep(found_cars, axes, tasks, sample=sample, seed=seed, responses=response or (), progress=progress)
+    try:
+        with counted(title) as progress:
+            found = sweep(
+                found_cars, axes, tasks, sample=sample, seed=seed, responses=response or (), folder=out, workers=workers,
+                scheduler=scheduler, progress=progress,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        if out is not None:
+            typer.secho(f"what is finished is in {out}; the same command goes on there", fg="yellow", err=True)
+        raise
     if as_json:
         columns = table(found)
         failed = sum(text != "" for text in columns[FAILURE])
         print_json({"tasks": [task.name for task in tasks], "points": len(columns[FAILURE]), "failed": failed, "table": columns})
         return
     _print(title, found, response or [str(name) for name in found if str(name).rpartition(".")[2] in MAIN])
+    print_written(out)
 
 
 def _print(title: str, found: xr.Dataset, responses: Sequence[str]) -> None:
     """Print the points one by one, or where each response is lowest and highest if they are many."""
-    from halfshaft.studies.sweep import FAILURE, table
+    from halfshaft.studies.job import FAILURE
+    from halfshaft.studies.sweep import table
 
     columns = table(found)
     axes = [str(name) for name in found.coords]
