@@ -107,13 +107,13 @@ def _differences(there: Any, here: Any, where: str) -> Iterator[str]:
         place = f"{where}: " if where else ""
         for key in dict.fromkeys((*there, *here)):
             if key not in here:
-                yield f"{place}{key} is there only"
+                yield f"{place}{key} is in the folder only"
             elif key not in there:
-                yield f"{place}{key} is here only"
+                yield f"{place}{key} is new"
             else:
                 yield from _differences(there[key], here[key], place + key)
     elif there != here:
-        yield f"{where} is {_short(there)} there and {_short(here)} here"
+        yield f"{where} is {_short(there)} in the folder and {_short(here)} now"
 
 
 def _short(value: Any) -> str:
