@@ -49,6 +49,14 @@ CycleNameOrNone = Annotated[
 GradeFile = Annotated[
     str | None, typer.Option("--grade", metavar="G", help="Grade of the road: 3% or 0.03, or a CSV file over distance; with --cycle.")
 ]
+VehicleNames = Annotated[
+    list[str],
+    typer.Argument(metavar="VEHICLE...", help="Names in the library, or TOML files.", show_default=False, autocompletion=_vehicles),
+]
+CycleNames = Annotated[
+    list[str] | None,
+    typer.Option("--cycle", metavar="CYCLE", help="Name in the library, or a CSV file; repeatable.", autocompletion=_cycles),
+]
 Smooth = Annotated[float | None, typer.Option(metavar="S", help="Smooth the trace of a recorder over windows of so many seconds.")]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle, body.m.")]
 Values = Annotated[

@@ -225,7 +225,9 @@ def _balance(result: Result) -> str:
     into = [(a.fuel, "fuel"), (a.battery, "stores")]
     out = [(sum(a.losses.values()), "lost"), (a.kinetic, "in motion"), (a.potential, "in height"), (method, "method's own error")]
     sides = [[f"{_number(x)} {label}" for x, label in side if abs(x) >= 0.5 * 3600] for side in (into, out)]
-    return f"Wh:  {' + '.join(sides[0])}  =  {' + '.join(sides[1])};  open by {abs(a.residual) / 3600:.0e} Wh".replace("+ \u2212", "\u2212 ")
+    return f"Wh:  {' + '.join(sides[0])}  =  {' + '.join(sides[1])};  open by {abs(a.residual) / 3600:.0e} Wh".replace(
+        "+ \u2212", "\u2212 "
+    )
 
 
 def _number(energy: float) -> str:
@@ -257,7 +259,9 @@ class _Pen:
         size = min(_ARROW + 0.1 * width, 0.2)
         self.ax.add_patch(Polygon([(x, y), (x + way * size, y + width / 2), (x, y + width)], facecolor=colour, edgecolor="none"))
 
-    def text(self, x: float, y: float, text: str, *, ha: str = "center", size: float = 8.0, colour: str = INK, weight: str = "normal") -> None:
+    def text(
+        self, x: float, y: float, text: str, *, ha: str = "center", size: float = 8.0, colour: str = INK, weight: str = "normal"
+    ) -> None:
         """Write something about a place."""
         # A number of what is lost may lie over a band.
         halo = [withStroke(linewidth=2.0, foreground="white")] if colour == SOFT else None
@@ -310,7 +314,9 @@ class _Pen:
             told = f"{'gave' if given >= 0 else 'took'} {_number(abs(given))}"
             middle = (at + below + lay.scale * s.charged) / 2
             for line, text in enumerate(("store", told)):
-                self.text(begin - 0.22, middle + (line - 0.5) * 1.1 * _LINE, text, ha="right", weight="normal" if line else "bold", size=8.5)
+                self.text(
+                    begin - 0.22, middle + (line - 0.5) * 1.1 * _LINE, text, ha="right", weight="normal" if line else "bold", size=8.5
+                )
         if name == lay.road:
             self._road(x + _BAR, top)
         else:

@@ -131,18 +131,18 @@ class Made:
     @property
     def machine(self) -> str:
         """Operating system and processor."""
-        return f"{platform.system()} {platform.release()} {platform.machine()}"
+        return machine()
 
     @cached_property
     def origin(self) -> Origin:
         """What the run was made of, in full."""
         return Origin(
-            vehicle=_text("vehicle", self.vehicle, self.vehicle.to_toml()),
+            vehicle=vehicle_text(self.vehicle),
             cycle=_cycle(self.cycle),
-            parts={role: _part(part) for role, part in self.vehicle.parts.items()},
+            parts={role: part_text(part) for role, part in self.vehicle.parts.items()},
             date=self.date,
             machine=self.machine,
-            versions=_versions(),
+            versions=versions(),
             ratings=self.ratings,
         )
 
@@ -171,13 +171,25 @@ def _cycle(cycle: Cycle) -> Text:
     return _text("cycle", cycle, _csv(cycle))
 
 
+def machine() -> str:
+    """Return operating system and processor."""
+    return f"{platform.system()} {platform.release()} {platform.machine()}"
+
+
 @cache
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that make the numbers."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
+def vehicle_text(vehicle: Vehicle) -> Text:
+    """Return a vehicle as the text of a file."""
+    return _text("vehicle", vehicle, vehicle.to_toml())
+
+
 @lru_cache(maxsize=256)
-def _part(part: ComponentFile) -> Text:
+def part_text(part: ComponentFile) -> Text:
+    """Return a component as the text of a file."""
     # Large maps take a tenth of a second to write.
     return _text(part.kind, part, part.to_toml())
 

@@ -25,7 +25,32 @@ from halfshaft.library.files.writing import written_whole
 #: Points of the grid that an efficiency is drawn on, along each axis.
 _FINE = 160
 #: Lines of equal efficiency.
-_LEVELS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.28, 0.3, 0.32, 0.34, 0.36, 0.38, 0.4, 0.45, 0.5, 0.6, 0.7, 0.75, 0.8, 0.84, 0.88, 0.9, 0.92, 0.94, 0.96)
+_LEVELS = (
+    0.05,
+    0.1,
+    0.15,
+    0.2,
+    0.25,
+    0.28,
+    0.3,
+    0.32,
+    0.34,
+    0.36,
+    0.38,
+    0.4,
+    0.45,
+    0.5,
+    0.6,
+    0.7,
+    0.75,
+    0.8,
+    0.84,
+    0.88,
+    0.9,
+    0.92,
+    0.94,
+    0.96,
+)
 #: Width and height of a panel, height of the head and of a line of it [in].
 _WIDTH, _HEIGHT, _HEAD, _LINE = 4.3, 3.3, 0.62, 0.22
 _RPM = 60 / (2 * np.pi)
@@ -129,7 +154,9 @@ def points(result: Result, part: str) -> tuple[Array, Array]:
         own = result.tags.by_part(tag).get(part)  # type: ignore[arg-type]
         names = [own or f"{part}.{field}"]
         model = result.vehicle.model()
-        names += [f"{c.supply}.{field}{model.suffixes(c)[1]}" for c in model.connections if c.load == part and field in SHOWN[c.supply_port.kind]]
+        names += [
+            f"{c.supply}.{field}{model.suffixes(c)[1]}" for c in model.connections if c.load == part and field in SHOWN[c.supply_port.kind]
+        ]
         there = [name for name in names if name in outputs]
         if not there:
             raise InputError("result", [f"{part} has no {field} among its outputs"])
@@ -183,7 +210,16 @@ def _draw(ax: Axes, shared: Sequence[tuple[int, _Machine]], results: Sequence[Re
     x, y = machine.omega * _RPM, machine.tau * factor
     best = float(np.nanmax(machine.efficiency)) if np.isfinite(machine.efficiency).any() else 1.0
     levels = [level for level in _LEVELS if level < best]
-    ax.contourf(x, y, machine.efficiency.T, levels=[0, *levels[-9:], max(best, levels[-1] + 1e-6)], cmap="Blues", vmin=0, vmax=1.9 * best, extend="neither")
+    ax.contourf(
+        x,
+        y,
+        machine.efficiency.T,
+        levels=[0, *levels[-9:], max(best, levels[-1] + 1e-6)],
+        cmap="Blues",
+        vmin=0,
+        vmax=1.9 * best,
+        extend="neither",
+    )
     lines = ax.contour(x, y, machine.efficiency.T, levels=levels[-9:], colors="#5b7f9c", linewidths=0.6)
     ax.clabel(lines, fmt=lambda level: f"{100 * level:.0f}", fontsize=7, colors="#3f5f78")
     for speeds, torques in machine.envelopes:

@@ -176,8 +176,8 @@ class Vehicle:
         reader.finish(f"vehicle '{self.name}'")
         return fleet
 
-    def with_parts(self, parts: Mapping[str, str | Path]) -> Vehicle:
-        """Return the vehicle with parts replaced, by names in the library or paths of files."""
+    def with_parts(self, parts: Mapping[str, str | Path | ComponentFile]) -> Vehicle:
+        """Return the vehicle with parts replaced, by names in the library, paths of files, or components that were read before."""
         reader = Reader()
         powertrain = powertrains()[self.powertrain]
         new = _parts(reader, powertrain, parts, "", Path())
@@ -304,23 +304,26 @@ def _parts(
         if role not in powertrain.roles:
             continue
         kinds = powertrain.kinds(role)
-        if not isinstance(name, str | Path):
+        if not isinstance(name, str | Path | ComponentFile):
             reader.problems.append(f"{where}{role} = {shown(name)}, must be the name of a component")
             continue
-        path = folder / Path(name) if isinstance(folder, Path) and str(name).endswith(".toml") else name
         try:
-            part = read_component(path, powertrain.derivable(role))
+            part = name if isinstance(name, ComponentFile) else read_component(_beside(folder, name), powertrain.derivable(role))
         except InputError as e:
             reader.problems.extend(f"{where}{role}: {e.where}: {p}" for p in e.problems)
             continue
         if part.kind in kinds:
             parts[role] = part
         else:
-            fitting = [n for kind in kinds for n in component_names(kind)]
+            called, fitting = str(getattr(name, "name", name)), [n for kind in kinds for n in component_names(kind)]
             reader.problems.append(
-                f"{where}{role} = {shown(str(name))} is of kind {part.kind}, must be {' or '.join(kinds)}{nearest(str(name), fitting)}"
+                f"{where}{role} = {shown(called)} is of kind {part.kind}, must be {' or '.join(kinds)}{nearest(called, fitting)}"
             )
     return parts
+
+
+def _beside(folder: Path | Traversable, name: str | Path) -> str | Path:
+    return folder / Path(name) if isinstance(folder, Path) and str(name).endswith(".toml") else name
 
 
 def _ordered(powertrain: Powertrain, parts: Parts) -> dict[str, ComponentFile]:
