@@ -23,9 +23,13 @@ To come to the pump's speed in this step from ``omega_own``, the one that the ro
 
     tau_p(omega_p) + tau_accessory + J (omega_p - omega_own) / dt            (4)
 
-and nothing is cut if that lies between closed and full throttle there.  Else the engine gives the one or the other, and the pump
-comes to where (4) is just that, with its torque straight between ``omega_own`` and the speed asked for, or the one at which it
-takes the engine's largest (smallest) torque of all, if that is nearer.  Behind an open clutch (neutral) nothing passes.  After a missed
+and nothing is cut if that lies between closed and full throttle there.  Else the pump comes no further, with the one or the other,
+than to
+
+    (J / dt omega_own + c omega_f) / (J / dt + c)                            (5)
+
+where ``omega_f`` is the speed at which the pump takes all that the engine gives there, and ``c`` the mean slope of the pump's
+torque between the two.  Behind an open clutch (neutral) nothing passes.  After a missed
 trace the turbine's speed is the one really reached (paper eq. 10), as in a motor.
 
 The original takes (3) from the turbine's K factor alone, which needs no torque at equal speeds up to a limit; here a converter
@@ -56,7 +60,7 @@ from halfshaft.library.engine.engine import Engine
 RATIO = Axis("speed_ratio", "1")
 #: Speed [rad/s] that rounds off (3) at standstill without torque.
 OMEGA_FLOOR = 1e-3
-#: Difference of speeds [rad/s] below which the pump's slope between them fades: two speeds so near say nothing of it.
+#: Difference of speeds [rad/s] below which the slope of (5) fades: between two speeds so near it says nothing.
 GAP_FLOOR = 0.1
 
 
@@ -185,12 +189,12 @@ class TorqueConverter(TwoSided):
         self, tau: Expr, omega: Expr, engine: Engine, omega_own: Expr, omega_idle: Expr, tau_accessory: Expr, dt: Expr
     ) -> tuple[Expr, Expr, Expr]:
         """Return the turbine's torque that the engine can bring in this step, equation (4), the pump's torque [N.m] and speed [rad/s]."""
-        pump, tau_pump, J_dt = self.omega_pump(tau, omega), self.tau_pump(tau, omega), engine.p.J / dt
+        pump, tau_pump, J_dt = self.omega_pump(tau, omega), self.tau_pump(tau, omega), ca.fmax(engine.p.J, 1e-6) / dt
         wanted = clip(pump, omega_idle, engine.omega_max)
         closed, full = engine.tau_closed(wanted) - tau_accessory, engine.tau_max(wanted) - tau_accessory
 
         def settled(tau_engine: Expr) -> Expr:
-            return self.omega_settled(tau_engine - tau_accessory, omega)
+            return clip(self.omega_settled(tau_engine - tau_accessory, omega), omega_idle, engine.omega_max)
 
         def needed(tau_pump: Expr) -> tuple[Expr, Expr]:
             """Return what the engine needs for the speed wanted, and whether it has that."""
@@ -203,12 +207,13 @@ class TorqueConverter(TwoSided):
         tau_pump_wanted = self.tau_pump(tau_wanted, omega)
         need, bound = needed(tau_pump_wanted)
         much = need > full
-        end = where(much, ca.fmin(wanted, settled(engine.tau_largest)), ca.fmax(wanted, settled(engine.tau_smallest)))
-        given = where(much, engine.tau_max(end), engine.tau_closed(end)) - tau_accessory
-        taken, change = self.tau_taken(omega_own, omega), end - omega_own
-        slope = ca.fmax((self.tau_taken(end, omega) - taken) * change, 0) / (change**2 + GAP_FLOOR**2)
-        reached = clip(omega_own + (given - taken) / ca.fmax(J_dt + slope, 1e-9), ca.fmin(omega_own, end), ca.fmax(omega_own, end))
-        reached = clip(reached, omega_idle, engine.omega_max)
+        # Full torque is that at the speed where the pump ends up, found from that at the present one.
+        given = where(much, engine.tau_max(settled(engine.tau_max(omega_own))), engine.tau_closed(omega_own))
+        end = settled(given)
+        change = end - omega_own
+        c = ca.fmax((given - tau_accessory - self.tau_taken(omega_own, omega)) * change, 0) / (change**2 + GAP_FLOOR**2)
+        reached = ca.fmax((J_dt * omega_own + c * end) / (J_dt + c), omega_idle)
+        reached = where(much, ca.fmin(wanted, reached), ca.fmax(wanted, reached))
         tau_reached = self.tau_turbine(reached, omega)
         return (
             where(asked, tau, where(bound, tau_wanted, tau_reached)),

@@ -147,11 +147,6 @@ class Engine(Component, Machine):
         return self.p.torque_scale * float(self.p.tau_max.values.max())
 
     @property
-    def tau_smallest(self) -> Expr:
-        """Smallest torque with closed throttle [N.m]."""
-        return self.p.torque_scale * float(self.p.tau_closed.values.min())
-
-    @property
     def P_largest(self) -> Expr:
         """Largest power of the envelope's points [W]."""
         return self.p.speed_scale * self.p.torque_scale * float((self.p.tau_max.values * self.p.tau_max.points[0]).max())

@@ -53,6 +53,14 @@ class TorqueConverter:
         T = stall * (length**2 - w**2 - 1e-6) * (1 if w <= max(w_pump, 1.0) else -1)
         return self.at_pump(T, w), T
 
+    def reached(self, T, engine, w, w_idle, dt):
+        """Return the speed at the end of a step in which the engine brings this torque, the accessories' taken off, to the pump."""
+        end = clip(self.pump("pump", T, w), w_idle, engine.w_top)
+        gap = end - engine.own
+        slope = max((T - self.torques(engine.own, w)[0]) * gap, 0.0) / (gap**2 + 0.1**2)
+        # Implicit: J (w - own) / dt = slope (end - w).
+        return max((engine.J / dt * engine.own + slope * end) / (engine.J / dt + slope), w_idle)
+
     def brought(self, T, w, engine, w_idle, T_acc, dt):
         """Return the torque of the turbine, cut to what the engine can bring in a step, and the pump's torque and speed."""
 
@@ -66,18 +74,11 @@ class TorqueConverter:
             return T, self.at_pump(T, w), w_p
         w_p = clip(w_p, w_idle, engine.w_top)
         miss = misses(w_p, self.torques(w_p, w)[0])
-        if miss:
-            # Implicit: J (w - own) / dt = given - torque of the pump, a straight line between own and end.
-            if miss > 0:
-                end = min(w_p, self.pump("pump", engine.T_largest - T_acc, w))
-                given = engine.T_max(end) - T_acc
-            else:
-                end = max(w_p, self.pump("pump", engine.T_smallest - T_acc, w))
-                given = engine.T_closed(end) - T_acc
-            start, gap = self.torques(engine.own, w)[0], end - engine.own
-            slope = max((self.torques(end, w)[0] - start) * gap, 0.0) / (gap**2 + 0.1**2)
-            w_p = engine.own + (given - start) / max(engine.J / dt + slope, 1e-9)
-            w_p = clip(clip(w_p, min(engine.own, end), max(engine.own, end)), w_idle, engine.w_top)
+        if miss > 0:
+            first = clip(self.pump("pump", engine.T_max(engine.own) - T_acc, w), w_idle, engine.w_top)
+            w_p = min(w_p, self.reached(engine.T_max(first) - T_acc, engine, w, w_idle, dt))
+        elif miss < 0:
+            w_p = max(w_p, self.reached(engine.T_closed(engine.own) - T_acc, engine, w, w_idle, dt))
         T_p, T = self.torques(w_p, w)
         return T, T_p, w_p
 

@@ -29,7 +29,6 @@ class Engine:
             Look(p.fuel, s * q / p.efficiency_scale, s, q),
         )
         self.w_top, self.T_largest = s * float(p.tau_max.points[0][-1]), q * float(p.tau_max.values.max())
-        self.T_smallest = q * float(p.tau_closed.values.min())
         self.P_largest = s * q * max(T * w for T, w in zip(p.tau_max.values.tolist(), p.tau_max.points[0].tolist(), strict=True))
         self.J, self.J_shaft = p.J, J_shaft
         # Speed that the rotor has reached, that of the free engine, the command and the gear's ratio of the step before.
