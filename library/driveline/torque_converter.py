@@ -29,8 +29,9 @@ than to
     (J / dt omega_own + c omega_f) / (J / dt + c)                            (5)
 
 where ``omega_f`` is the speed at which the pump takes all that the engine gives there, and ``c`` the mean slope of the pump's
-torque between the two.  Behind an open clutch (neutral) nothing passes.  After a missed
-trace the turbine's speed is the one really reached (paper eq. 10), as in a motor.
+torque between the two.  As that torque rises the faster the higher the speed, (5) mostly lies a little inside of what (4) allows.
+Behind an open clutch (neutral) nothing passes.  After a missed trace the turbine's speed is the one really reached (paper eq. 10),
+as in a motor.
 
 The original takes (3) from the turbine's K factor alone, which needs no torque at equal speeds up to a limit; here a converter
 that does not slip carries nothing.  It does not load an idling engine at standstill; this one does.  Left out: the oil's
@@ -188,7 +189,7 @@ class TorqueConverter(TwoSided):
     def within(
         self, tau: Expr, omega: Expr, engine: Engine, omega_own: Expr, omega_idle: Expr, tau_accessory: Expr, dt: Expr
     ) -> tuple[Expr, Expr, Expr]:
-        """Return the turbine's torque that the engine can bring in this step, equation (4), the pump's torque [N.m] and speed [rad/s]."""
+        """Return the turbine's torque that the engine can bring in this step, (4) and (5), and the pump's [N.m] and speed [rad/s]."""
         pump, tau_pump, J_dt = self.omega_pump(tau, omega), self.tau_pump(tau, omega), ca.fmax(engine.p.J, 1e-6) / dt
         wanted = clip(pump, omega_idle, engine.omega_max)
         closed, full = engine.tau_closed(wanted) - tau_accessory, engine.tau_max(wanted) - tau_accessory
@@ -201,7 +202,7 @@ class TorqueConverter(TwoSided):
             tau = tau_pump + J_dt * (wanted - omega_own)
             return tau, ca.logic_and(closed <= tau, tau <= full)
 
-        # The pump as it is asked for, at idling or top speed, and where the engine cannot bring it there.
+        # The pump comes to where it is asked to, else to idling or top speed, else to what the engine can do.
         asked = ca.logic_and(pump == wanted, needed(tau_pump)[1])
         tau_wanted = self.tau_turbine(wanted, omega)
         tau_pump_wanted = self.tau_pump(tau_wanted, omega)
