@@ -128,11 +128,15 @@ class _Layout:
         total = sum(self.width(f) for f in both)
         if side == "right":
             return total + (self.lost(name) if name != self.road else 0.0)
-        return total + self.scale * (s.burnt + s.drawn + s.charged) + (_GAP if s.charged else 0.0)
+        return total + self.scale * s.burnt + self.pair(s.drawn, s.charged)
+
+    def pair(self, forth: float, back: float) -> float:
+        """Return the width of two lanes."""
+        return self.scale * (forth + back) + (_GAP if forth and back else 0.0)
 
     def width(self, f: Flow) -> float:
         """Return the width of a flow with both of its lanes."""
-        return self.scale * (f.forth + f.back) + (_GAP if f.back and f.forth else 0.0)
+        return self.pair(f.forth, f.back)
 
     def start(self, f: Flow) -> float:
         """Return where a flow begins, below the top of its supply."""
@@ -289,7 +293,7 @@ class _Pen:
 
     def part(self, name: str) -> None:
         """Draw a part with what comes in from its tank or store, and what leaves it for good."""
-        lay, s = self.lay, self.lay.stations[name]
+        lay = self.lay
         x, top, height = self.x(name), lay.top[name], lay.height[name]
         self.ax.add_patch(Rectangle((x, top), _BAR, height, facecolor="#4a5560", edgecolor="none"))
         label = name.replace("_", " ")
@@ -300,27 +304,28 @@ class _Pen:
         place = (x + _BAR, "right") if rises or falls else (x + _BAR / 2, "center")
         y = top + height + 0.8 * _LINE if below else top - 0.7 * _LINE
         self.text(place[0], y, label, ha=place[1], weight="bold", size=8.5)
-        begin = x - 0.62 * _COLUMN
-        at = top + sum(map(lay.width, lay.into[name]))
-        if s.burnt:
-            self._lanes((begin, x), (at, at), s.burnt, 0.0, FUEL)
-            self.text(begin - 0.07, at + lay.scale * s.burnt / 2, "fuel", ha="right", weight="bold", size=8.5)
-        if s.drawn or s.charged:
-            self._lanes((begin, x), (at, at), s.drawn, s.charged, ELECTRIC)
-            below = at + lay.scale * s.drawn + (_GAP if s.charged else 0.0)
-            if s.charged > 0:
-                self.arrow(begin, below, lay.scale * s.charged, BACK, -1)
-            given = s.drawn - s.charged
-            told = f"{'gave' if given >= 0 else 'took'} {_number(abs(given))}"
-            middle = (at + below + lay.scale * s.charged) / 2
-            for line, text in enumerate(("store", told)):
-                self.text(
-                    begin - 0.22, middle + (line - 0.5) * 1.1 * _LINE, text, ha="right", weight="normal" if line else "bold", size=8.5
-                )
+        self._source(name, x, top + sum(map(lay.width, lay.into[name])))
         if name == lay.road:
             self._road(x + _BAR, top)
         else:
             self._losses(name, x + _BAR, top)
+
+    def _source(self, name: str, x: float, top: float) -> None:
+        """Draw what comes out of a part's tank or store, and what goes back into it."""
+        lay, s = self.lay, self.lay.stations[name]
+        begin = x - 0.62 * _COLUMN
+        if s.burnt:
+            self._lanes((begin, x), (top, top), s.burnt, 0.0, FUEL)
+            self.text(begin - 0.07, top + lay.scale * s.burnt / 2, "fuel", ha="right", weight="bold", size=8.5)
+        if s.drawn or s.charged:
+            self._lanes((begin, x), (top, top), s.drawn, s.charged, ELECTRIC)
+            both = lay.pair(s.drawn, s.charged)
+            if s.charged:
+                self.arrow(begin, top + both - lay.scale * s.charged, lay.scale * s.charged, BACK, -1)
+            given = s.drawn - s.charged
+            said = f"{'gave' if given >= 0 else 'took'} {_number(abs(given))}"
+            for text, weight, line in (("store", "bold", -0.5), (said, "normal", 0.5)):
+                self.text(begin - 0.22, top + both / 2 + 1.1 * line * _LINE, text, ha="right", weight=weight, size=8.5)
 
     def _losses(self, name: str, x: float, top: float) -> None:
         """Draw what leaves a part: upward above the road's lane, else downward."""
@@ -358,9 +363,10 @@ class _Pen:
         if back > 0:
             inner, middle = _GAP / 2, top + forth + _GAP / 2
             outer, k = inner + back, 4 / 3
+            far, near = x + k * outer, x + k * inner
             points = [
-                (x, middle - outer), (x + k * outer, middle - outer), (x + k * outer, middle + outer), (x, middle + outer),
-                (x, middle + inner), (x + k * inner, middle + inner), (x + k * inner, middle - inner), (x, middle - inner), (x, middle - outer),
+                (x, middle - outer), (far, middle - outer), (far, middle + outer), (x, middle + outer),
+                (x, middle + inner), (near, middle + inner), (near, middle - inner), (x, middle - inner), (x, middle - outer),
             ]  # fmt: skip
             codes = [Path.MOVETO, *[Path.CURVE4] * 3, Path.LINETO, *[Path.CURVE4] * 3, Path.CLOSEPOLY]
             self.ax.add_patch(PathPatch(Path(points, codes), facecolor=BACK, edgecolor="none"))
