@@ -242,9 +242,9 @@ def _numbers(name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sa
     problems.extend(reader.problems)
     if reader.problems:
         return empty
-    return Axis(
-        name, spec.unit, spec.doc, (low, high) if sample else tuple(np.linspace(low, high, count).tolist()), open=sample is not None
-    )
+    # With the digits that a reader would type: 0.3 and not 0.30000000000000004.
+    values = (low, high) if sample else tuple(float(f"{x:.12g}") for x in np.linspace(low, high, count))
+    return Axis(name, spec.unit, spec.doc, values, open=sample is not None)
 
 
 def _with_units(items: Sequence[Any]) -> Iterator[Any]:

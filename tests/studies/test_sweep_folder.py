@@ -142,7 +142,7 @@ def test_a_folder_of_another_sweep_is_refused_and_says_what_differs(tmp_path):
     said = refused(tmp_path, {"body.m": "1000..1700:4"}, Weigh(5.0))
     assert said[0] == "is that of another sweep; name another folder"
     values = "axes: body.m: values is [1000.0, 1200.0, 1400.0, 1600.0] in the folder and"
-    assert f"{values} [1000.0, 1233.3333333333333, 1466.6666666666667, 1700.0] now" in said
+    assert f"{values} [1000.0, 1233.33333333, 1466.66666667, 1700.0] now" in said
     assert "tasks: weigh: stops_at is 0.0 in the folder and 5.0 now" in said
     assert refused(tmp_path, {"body.m": "1000..1600"}, sample="lhs:4")[1:] == [
         "axes: body.m: values is [1000.0, 1200.0, 1400.0, 1600.0] in the folder and [1000.0, 1600.0] now",
