@@ -15,8 +15,8 @@ from halfshaft.models.vehicle import Vehicle
 
 #: Which source rests: none, the batteries (they give nothing), or engine and fuel cell (the key is off).
 Resting: TypeAlias = Literal["none", "battery", "converter"]
-#: An end or the middle of the window that the control keeps, or the vehicle's own charge.
-Place: TypeAlias = Literal["low", "middle", "high", "own"]
+#: An end or the middle of the window that the control keeps, a full battery, or the charge of the vehicle itself.
+Place: TypeAlias = Literal["low", "middle", "high", "full", "own"]
 #: The tests of ADVISOR as they were in 1999, and with the options of 2000.
 Routine: TypeAlias = Literal["1999", "2000"]
 RESTING, PLACES = get_args(Resting), get_args(Place)
@@ -32,8 +32,8 @@ class Conditions:
     Parameters
     ----------
     soc
-        State of charge at the start [1]: a number, or a place in the window that the control keeps (``low``, ``middle``, ``high``);
-        without a window, and with ``own``, that of the vehicle.
+        State of charge at the start [1]: a number, ``full``, or a place in the window that the control keeps (``low``, ``middle``,
+        ``high``); without a window, and with ``own``, that of the vehicle.
     added_mass
         Load beside the vehicle's mass [kg].
     mass
@@ -111,6 +111,9 @@ def charge_at(vehicle: Vehicle, soc: float | Place) -> float | None:
     """Return a state of charge to start at; None for that of the vehicle."""
     if soc not in PLACES:
         return number(soc)
+    full = [vehicle.values[name] for name in vehicle.tags.all_of("full charge")]
+    if soc == "full":
+        return min(full, default=None)
     ends = window(vehicle)
     return None if soc == "own" or ends is None else {"low": ends[0], "middle": sum(ends) / 2, "high": ends[1]}[str(soc)]
 
