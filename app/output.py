@@ -20,7 +20,16 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from typer.core import TyperGroup
 
@@ -158,6 +167,29 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=terminal, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
         task = progress.add_task(what, total=None)
         yield lambda text: progress.update(task, description=text)
+
+
+@contextmanager
+def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Show on a terminal how far a long task is and what time is left; yields what takes how much is done, and of how much."""
+    terminal = Console(file=sys.stderr)
+    if not terminal.is_terminal:
+        yield lambda done, total: None
+        return
+    columns = (
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
+        TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=terminal, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
+        tasks: list[TaskID] = []
+
+        def tell(done: int, total: int) -> None:
+            # What was done before tells nothing of the time that the rest takes, so it is not counted as an advance.
+            if not tasks:
+                tasks.append(progress.add_task(what, total=total, completed=done))
+            progress.update(tasks[0], completed=done)
+
+        yield tell
 
 
 def print_json(found: Mapping[str, Any]) -> None:

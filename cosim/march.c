@@ -147,6 +147,25 @@ static double grade_at(double s, long n, const double *distance, const double *g
   return grade[low] + (grade[high] - grade[low]) * (s - distance[low]) / (distance[high] - distance[low]);
 }
 
+/* So many rows of outputs are totalled at once, while they are near. */
+enum { HS_ROWS = 16 };
+
+/* Add `n` rows of outputs to their time integrals and maxima; four at a time, so that these are fetched and stored less often. */
+static void total(long n, const double *restrict rows, const double *restrict dt, double *restrict sums, double *restrict highest) {
+  long k = 0;
+  for (; k + 4 <= n; k += 4) {
+    const double *a = rows + k * HS_NY, *b = a + HS_NY, *c = b + HS_NY, *d = c + HS_NY;
+    for (int i = 0; i < HS_NY; ++i) {
+      sums[i] = sums[i] + a[i] * dt[k] + b[i] * dt[k + 1] + c[i] * dt[k + 2] + d[i] * dt[k + 3];
+      highest[i] = hs_max(d[i], hs_max(c[i], hs_max(b[i], hs_max(a[i], highest[i]))));
+    }
+  }
+  for (; k < n; ++k) {
+    const double *y = rows + k * HS_NY;
+    for (int i = 0; i < HS_NY; ++i) { sums[i] += y[i] * dt[k]; highest[i] = hs_max(y[i], highest[i]); }
+  }
+}
+
 /* Step from the state `now` to `next`, with the request in `t->u`; `y` gets the outputs. */
 static void advance(trial *t, double *now, double *next, double *y, int mode) {
   const double v = t->u[0];
@@ -178,22 +197,22 @@ static void advance(trial *t, double *now, double *next, double *y, int mode) {
 }
 
 /* March `n` steps from the state `x`, or where not `started` from the start state; `x` becomes the last state.  `history`
-   holds n rows of outputs; where it is null, `last` gets the last row, `sums` the time integrals and `highest` the maxima of all outputs.
-   Returns the number of steps done; less than n if a number was lost.  `counts` gets the number of calls of the step,
-   and of searches without success. */
+   holds n rows of outputs, or is null; `last` gets the last row, `sums` the time integrals and `highest` the maxima of all outputs.
+   Returns the number of steps done; less than n if a number was lost, among the outputs only where they are not kept.  `counts` gets
+   the number of calls of the step, and of searches without success. */
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
                         const double *grade_distance, const double *grade_value, const double *p, int started, double *x,
                         double *history, double *last, double *restrict sums, double *restrict highest, int mode, long *counts) {
-  double state[2][HS_NX], u[HS_NU], q[HS_NQ];
+  double state[2][HS_NX], u[HS_NU], q[HS_NQ], rows[HS_ROWS * HS_NY];
   double *now = state[0], *next = state[1];
   trial t = first_trial(p, q, u);
-  long k;
+  long k, totalled = 0;
   if (!started) hs_start(p, x);
   t.failed = hs_prepare(p, q) | hs_lost(x, HS_NX);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
-  for (int i = 0; !history && i < HS_NY; ++i) { last[i] = sums[i] = 0; highest[i] = -HUGE_VAL; }
+  for (int i = 0; i < HS_NY; ++i) { last[i] = sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {
-    double *y = history ? history + k * HS_NY : last;
+    double *y = history ? history + k * HS_NY : rows + (k - totalled) * HS_NY;
     u[1] = n_grade ? grade_at(now[HS_X_DISTANCE], n_grade, grade_distance, grade_value) : grade[k];
     u[2] = key_on[k];
     u[3] = dt[k];
@@ -201,14 +220,15 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     u[0] = v[k];
     advance(&t, now, next, y, mode);
     /* What is lost stays lost in a state: now and then is often enough to look. */
-    if (k % 16 == 15 || k == n - 1) t.failed |= hs_lost(next, HS_NX);
+    const int filled = k + 1 == totalled + HS_ROWS || k + 1 == n;
+    if (filled) t.failed |= hs_lost(next, HS_NX);
     if (t.failed) break;
-    if (!history) {
-      for (int i = 0; i < HS_NY; ++i) {
-        sums[i] += y[i] * dt[k];
-        highest[i] = y[i] > highest[i] ? y[i] : highest[i];
-      }
-      if ((k % 16 == 15 || k == n - 1) && hs_lost(sums, HS_NY)) break;
+    if (filled) {
+      const long count = k + 1 - totalled;
+      total(count, y - (count - 1) * HS_NY, dt + totalled, sums, highest);
+      if (!history && hs_lost(sums, HS_NY)) break;
+      totalled = k + 1;
+      if (totalled == n) for (int i = 0; i < HS_NY; ++i) last[i] = y[i];
     }
     double *swap = now; now = next; next = swap;
   }

@@ -13,7 +13,8 @@ parameter is not a number, ``hs_step`` when anything is not (minima and maxima w
 ``hs_step_prepared`` must look with ``hs_lost``.
 
 The C has a line for each operation of the step (`halfshaft.fmu_build.graph`), and gives the bits of CasADi's virtual machine as
-long as the compiler does not contract (``-ffp-contract=off``).
+long as the compiler does not contract (``-ffp-contract=off``).  A table that counts on one side of a choice only is looked up
+where that side is taken.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ _C = {
     "row": "p[{first} + {0}] + {1} * (p[{first} + 1 + {0}] - p[{first} + {0}])",
     **{name: f"{name}({{0}})" for name in ("sqrt", "fabs", "exp", "log", "tanh", "sin", "cos", "atan", "floor", "ceil")},
 }  # fmt: skip
+#: What takes its first value as a condition on the others; the second one of two flags counts only where the first holds.
+_CHOICES = ("only", "choose", "and")
 _TYPES = {"number": "double", "flag": "int", "interval": "int"}
 
 
@@ -73,7 +76,7 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
     starter.inputs(p=p)
     first = starter.values(step.start.call([p])[0])
     unpack = [f"  const {_TYPES[graph.kind(name)]} {name} = q[{i}];" for i, name in enumerate(kept)]
-    lines = [*unpack, *(_line(op, graph) for op in stepped)]
+    lines = [*unpack, *_guarded(stepped, graph, [*following, *outputs])]
     n_rows = sum(len(graph.tables[name].values) for name in graph.rows)
     parts = [
         _PRELUDE,
@@ -110,6 +113,50 @@ def relations_code(step: Step) -> str:
 def _lines(graph: Graph, names: Sequence[str]) -> list[str]:
     """Return the lines that give prepared values."""
     return [_line(op, graph) for op in graph.used(graph.prepared, names)]
+
+
+def _guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str]) -> list[str]:
+    """Return the lines with each table that counts on one side of a choice only, and what it alone needs, in an ``if``."""
+    guards: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
+    for op in reversed(ops):
+        here = guards[op.name]
+        sides = [here] * len(op.of)
+        if op.what in _CHOICES:
+            # The condition; what counts where it holds; what counts where it does not.
+            sides = [here, (*here, op.of[0]), (*here, f"!{op.of[0]}")]
+        for name, guard in zip(op.of, sides, strict=False):
+            guards[name] = _common(guards.get(name, guard), guard)
+    waiting = {op.name: op for op in ops}
+    looked_up = [guards[op.name] for op in ops if op.what in ("find", "table", "row")]
+    worth = {guard[:i] for guard in looked_up for i in range(len(guard) + 1)}
+    declared, written, now = list[str](), list[str](), tuple[str, ...]()
+    stack = list(waiting)[::-1]
+    while stack:
+        name = stack.pop()
+        if name not in waiting:
+            continue
+        op = waiting[name]
+        guard = next((g for i in range(len(guards[name]), 0, -1) if (g := guards[name][:i]) in worth), ())
+        # What decides is written before what it decides on.
+        if before := [other for other in (*(g.lstrip("!") for g in guard), *op.of) if other in waiting]:
+            stack += [name, *before]
+            continue
+        del waiting[name]
+        shared = len(_common(now, guard))
+        written += ["  }"] * (len(now) - shared) + [f"  if ({g}) {{" for g in guard[shared:]]
+        now = guard
+        line = _line(op, graph)
+        if guard:
+            declared.append(f"  {_TYPES[op.kind]} {name};")
+            line = f"  {line.removeprefix(f'  const {_TYPES[op.kind]} ')}"
+        written.append(line)
+    return [*declared, *written, *["  }"] * len(now)]
+
+
+def _common(one: tuple[str, ...], other: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what two begin with."""
+    n = next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+    return one[:n]
 
 
 def _line(op: Op, graph: Graph) -> str:

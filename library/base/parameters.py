@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -145,9 +145,11 @@ class Parameters:
                 outside = "clipped" if spec.clip else "extrapolated"
                 problems.append(f"{f.name} has {len(value.points)} axes, must have {len(spec.axes)} and be {outside} outside of them")
             if isinstance(value, Table):
-                numbers: list[Any] = list(value.values.flat)
+                # The ends tell for all, and are not numbers where one is none.
+                ends: tuple[float, float] = value.values.min(), value.values.max()
+                numbers: Iterable[Any] = () if spec.holds(ends[0]) and spec.holds(ends[1]) else value.values.flat
             else:
-                numbers = list(value) if spec.row else [value]
+                numbers = value if spec.row else (value,)
             bad = [x for x in numbers if isinstance(x, int | float) and not spec.holds(x)]
             if bad:
                 problems.append(f"{f.name} = {spec.shown(bad[0])}, must be {spec.allowed() or 'a finite number'}")
@@ -169,6 +171,16 @@ class Parameters:
         """Return the set with the ratings that were typed."""
         factors = {r.scale: getattr(self, r.scale) * typed[r.name] / r.of(self) for r in self.rated if r.name in typed}
         return replace(self, **factors) if factors else self
+
+    @cached_property
+    def structure(self) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
+        """Names of the numbers, and the content of the tables by name: what is built into code."""
+        return tuple(name for name, *_ in all_numbers(self)), tuple((name, t.key) for name, t in tables(self))
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        """The numbers by name, the entries of a row as ``name_1``, ``name_2`` and so on."""
+        return {name: plain(value) for name, _, value in all_numbers(self)}
 
     def ratings(self) -> Mapping[str, float]:
         """Return what the part is rated at: ``energy`` of a store [J], ``traction power`` of what drives [W]."""
