@@ -85,7 +85,7 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
         f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters) + n_rows}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
         "static void hs_start(const double *p, double *x) {", *_lines(starter, first), *_stores("x", first), "}\n",
-        "static int hs_prepare(const double *p, double *q) {", *(_line(op, graph) for op in prepared), *_stores("q", kept),
+        "static int hs_prepare(const double *p, double *q) {", *(line(op, graph) for op in prepared), *_stores("q", kept),
         "  return hs_lost(p, HS_NP);\n}\n",
         "static void hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                             const double *restrict q, double *restrict xn, double *restrict y) {",
@@ -112,7 +112,7 @@ def relations_code(step: Step) -> str:
 
 def _lines(graph: Graph, names: Sequence[str]) -> list[str]:
     """Return the lines that give prepared values."""
-    return [_line(op, graph) for op in graph.used(graph.prepared, names)]
+    return [line(op, graph) for op in graph.used(graph.prepared, names)]
 
 
 def _guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str]) -> list[str]:
@@ -145,11 +145,11 @@ def _guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str]) -> list[str]
         shared = len(_common(now, guard))
         written += ["  }"] * (len(now) - shared) + [f"  if ({g}) {{" for g in guard[shared:]]
         now = guard
-        line = _line(op, graph)
+        text = line(op, graph)
         if guard:
             declared.append(f"  {_TYPES[op.kind]} {name};")
-            line = f"  {line.removeprefix(f'  const {_TYPES[op.kind]} ')}"
-        written.append(line)
+            text = f"  {text.removeprefix(f'  const {_TYPES[op.kind]} ')}"
+        written.append(text)
     return [*declared, *written, *["  }"] * len(now)]
 
 
@@ -159,7 +159,8 @@ def _common(one: tuple[str, ...], other: tuple[str, ...]) -> tuple[str, ...]:
     return one[:n]
 
 
-def _line(op: Op, graph: Graph) -> str:
+def line(op: Op, graph: Graph) -> str:
+    """Return the line of an operation."""
     if op.what == "table":
         c = f"{op.about}_at({''.join(f'{name}, ' for name in op.of)}0)"
     else:

@@ -229,9 +229,7 @@ V void v_rows(const double *a, vi i, vd *out) {
 
 V vd v_number(vm a) { return v_only(a, v_set(1)); }
 V vd v_sign(vd a) { return v_choose(v_lt(a, v_set(0)), v_set(-1), v_choose(v_lt(v_set(0), a), v_set(1), a)); }
-V vd v_clip(vd x, double low, double high) {
-  return v_choose(v_lt(x, v_set(low)), v_set(low), v_choose(v_lt(v_set(high), x), v_set(high), x));
-}
+V vd v_clip(vd x, double low, double high) { return v_min(v_set(high), v_max(v_set(low), x)); }
 
 /* How many of `n` rising numbers `x` has reached: first the bin of `b`, then up to `rounds` of them one by one; `next` ends with NaN. */
 V vi v_find(const int *start, const double *next, int bins, int rounds, vd b, vd x) {
