@@ -1,6 +1,10 @@
 /* Vectors of W numbers, one of each of W vehicles, for AVX-512 or AVX2.  Each operation gives the bits of its scalar form: the second of two
    numbers is the minimum or the maximum where they cannot be told apart, and what compares with NaN is false. */
 
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("schedule-insns", "sched-pressure")
+#endif
+
 #include <immintrin.h>
 #include <math.h>
 
