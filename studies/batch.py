@@ -8,7 +8,6 @@ the memory that a batch takes grows with those alone.  A run in which a number i
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import lru_cache, partial
@@ -25,10 +24,11 @@ from halfshaft.cosim.memory import available
 from halfshaft.cosim.simulate import Build, stepper_of
 from halfshaft.fmu_build.compiler import shared_library
 from halfshaft.fmu_build.lanes import WIDTHS, lanes_code, lanes_header, widths
-from halfshaft.library.base.errors import InputError, nearest, not_a, number
+from halfshaft.library.base.errors import CompileError, InputError, nearest, not_a, number
 from halfshaft.library.base.parameters import spec_of
 from halfshaft.models.assembly import Step
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.crew import cores
 from halfshaft.studies.figures import end_states, figures, needs, unit_of
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def run_batch(
     shown = _Figures(step, fleet, traces) if summary is None else None
     rows = np.full((runs, traces.longest, len(plan.history)), np.nan)
     columns = _Columns(runs)
-    for done in plan.march(fleet, maps, traces, starts, rows, mode, threads or len(os.sched_getaffinity(0))):
+    for done in plan.march(fleet, maps, traces, starts, rows, mode, threads or cores()):
         lost = done.lost > 0
         columns.put("status", done.part, lost.astype(np.int8))
         columns.put("lost_by", done.part, traces.ends(done) if lost.any() else np.nan)
@@ -296,7 +296,13 @@ def _plan(build: Build, wanted: tuple[Wanted, ...], history: tuple[str, ...], ma
     rows = {name: len(step.parameters) + sum(lengths[:i]) for i, name in enumerate(maps)}
     code = "\n".join([march_code(step, rows), *lines, lanes_code(step, rows, halved=halved) if width else "", own.pop("batch.c")])
     flags = ("-pthread", *(("-O1", *WIDTHS[width][0]) if width else ()))
-    library = shared_library(code, f"{step.name}_batch", own | lanes_header() if width else {}, flags)
+    try:
+        library = shared_library(code, f"{step.name}_batch", own | lanes_header() if width else {}, flags)
+    except CompileError:
+        if not width:
+            raise
+        # The compiler does not know these instructions, or there is none: then the next try says so.
+        return _plan(build, wanted, history, maps, "", halved)
     return _Plan(ctypes.CDLL(str(library)), step, wanted, history)
 
 
