@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -25,13 +26,15 @@ if TYPE_CHECKING:
     "compare",
     help="""Put vehicles, or runs that were saved, beside each other.
 
-    A vehicle is a name or a TOML file, and may have numbers set: NAME@body.m=1500@motor.torque_scale=1.2. A saved run is
-    the .nc file of "halfshaft run --out".
+    A vehicle is a name or a TOML file, and may have numbers set behind it:
+    NAME@body.m=1500@motor.torque_scale=1.2. A saved run is a file of
+    "halfshaft run --out".
 
     \b
     Examples:
       halfshaft compare small-car-electric small-car-series --cycle us06
-      halfshaft compare small-car-electric small-car-electric@body.m=1500 --cycle udds --plot both.png --output battery.T
+      halfshaft compare my-car.toml my-car.toml@body.m=1500 --cycle udds
+      halfshaft compare a.nc b.nc --plot both.png --output battery.T
       halfshaft compare before.nc after.nc --bars bars.png --json
     """,
 )
@@ -106,14 +109,15 @@ def _thing(text: str) -> Vehicle | Result:
     from halfshaft.cosim.result import Result
     from halfshaft.models.vehicle import Vehicle
 
-    name, *given = text.split("@")
+    # A name of a file may have the sign too.
+    name, *given = re.split(r"@(?=[\w.]+\s*=)", text)
     if name.lower().endswith(".nc"):
         if given:
             raise HalfshaftError(f"{text}: no numbers can be set in a run that was made")
         return Result.load(name)
     pairs = [(key.strip(), sign, value.strip()) for key, sign, value in (part.partition("=") for part in given)]
     if not all(key and sign and value for key, sign, value in pairs):
-        raise HalfshaftError(f"{text}: must be NAME or NAME@body.m=1500, with a number or a number with its unit")
+        raise HalfshaftError(f"{text}: must be NAME or NAME@body.m=1500, a number or one with its unit")
     return Vehicle.load(name).with_values({key: number_or_text(value) for key, _, value in pairs})
 
 

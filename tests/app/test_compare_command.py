@@ -65,7 +65,7 @@ def test_all_that_is_wrong_is_one_message(saved, tmp_path):
     result = call(
         "compare",
         "small-car-electrik",
-        "small-car-series@x",
+        "small-car-series@body.m=",
         f"{saved / 'a.nc'}@body.m=1",
         "--output",
         "speed",
@@ -75,8 +75,15 @@ def test_all_that_is_wrong_is_one_message(saved, tmp_path):
     assert result.exit_code == 2
     assert result.stdout == ""
     for text in (
-        "did you mean 'small-car-electric'", "small-car-series@x: must be NAME", "no numbers can be set in a run", "--cycle is missing",
+        "did you mean 'small-car-electric'", "small-car-series@body.m=: must be NAME", "no numbers can be set in a run",
+        "--cycle is missing",
         "--output goes with --plot", "a plot is written as",
     ):  # fmt: skip
         assert text in result.stderr
     assert "must be at least 2" in call("compare", saved / "a.nc").stderr
+
+
+@pytest.mark.parametrize("command", ["run", "cycle", "compare"])
+def test_help_fits_a_terminal_of_80_columns(command):
+    lines = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "80"}).stdout.splitlines()
+    assert max(map(len, lines)) <= 80

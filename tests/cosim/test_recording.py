@@ -95,3 +95,16 @@ def test_bad_input_is_said_at_once():
     with pytest.raises(InputError) as e:
         restored(Cycle(name="c", time=[0.0, 1.0], speed=[0.0, 1.0]), window=-1, longest_gap=float("nan"))
     assert [p.partition(",")[0] for p in e.value.problems] == ["window = -1 s", "longest_gap = nan s", "has 2 points"]
+    t = np.append(np.arange(0, 60, 0.1), 1e8)
+    with pytest.raises(InputError, match="1e\\+09 of its usual steps long"):
+        restored(Cycle(name="c", time=t, speed=np.zeros(601)))
+
+
+def test_a_run_is_told_of_gaps_in_motion():
+    given = recorded(UDDS, noise=0.0)
+    (told,) = [text for text in given.doubts if "without points" in text]
+    assert told.startswith("4")
+    assert told.endswith("taken for a straight line")
+    assert not UDDS.doubts
+    hand_made = Cycle(name="c", time=[0, 10, 20, 200, 210], speed=[0, 20, 20, 20, 0])
+    assert not hand_made.doubts
