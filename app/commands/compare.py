@@ -51,6 +51,7 @@ def _compare(
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the runs over each other (.png, .svg, .pdf).")] = None,
     bars: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the main numbers as bars.")] = None,
     points: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the operating points of machines on their maps.")] = None,
+    flows: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw where the energy of each flowed.")] = None,
     csv: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the main numbers to a CSV file.")] = None,
     units: Shown = "metric",
     as_json: Json = False,
@@ -71,7 +72,7 @@ def _compare(
     if output and plot is None:
         checks.problem("--output goes with --plot")
     checks.step(dt, trace)
-    for option, picture in (("--plot", plot), ("--bars", bars), ("--points", points)):
+    for option, picture in (("--plot", plot), ("--bars", bars), ("--points", points), ("--flows", flows)):
         checks.picture(picture, option)
     checks.target(csv, "--csv")
     checks.raise_problems()
@@ -83,6 +84,8 @@ def _compare(
         both.plot_metrics(units=units, path=bars)
     if points is not None:
         both.plot_points(units=units, path=points)
+    if flows is not None:
+        both.plot_flows(path=flows)
     if csv is not None:
         from halfshaft.library.files.writing import written_whole
 
@@ -100,7 +103,7 @@ def _compare(
     for label, result in zip(both.labels, both.results, strict=True):
         for text in remarks(result, units):
             print_line(f"  ! {label}: {text}", "yellow")
-    print_written(plot, bars, points, csv)
+    print_written(plot, bars, points, flows, csv)
 
 
 def _thing(text: str) -> Vehicle | Result:

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from matplotlib.patches import Rectangle
 
 from halfshaft import Cycle, InputError, Result, Vehicle, run
 from halfshaft.cosim.cycle import Cycle as Road
-from halfshaft.cosim.flow_plot import _THICK, _Layout, plot_flows
+from halfshaft.cosim.flow_plot import _THICK, _Layout, _thickest, plot_flows
 from halfshaft.cosim.flows import flows
 
 CARS = ("small-car-series", "small-car-power-split", "small-car-electric", "small-car-conventional")
@@ -73,9 +74,10 @@ def test_a_loaded_run_flows_as_it_did(runs, tmp_path):
 
 @pytest.mark.parametrize("car", CARS)
 def test_the_picture_is_as_wide_as_the_energy_and_parts_do_not_overlap(runs, car):
-    lay = _Layout(flows(runs[car]))
+    found = flows(runs[car])
+    lay = _Layout(found, _THICK / _thickest(found))
     # Bars are as high as the larger side, and no higher than the room.
-    assert max(lay.height.values()) <= _THICK + 0.5
+    assert _THICK <= max(lay.height.values()) <= _THICK + 0.3
     for name, s in lay.stations.items():
         if name != lay.road:
             into = s.burnt + s.drawn + sum(f.forth for f in lay.into[name]) + sum(f.back for f in lay.out[name])
@@ -86,11 +88,12 @@ def test_the_picture_is_as_wide_as_the_energy_and_parts_do_not_overlap(runs, car
         (one, other) for i, one in enumerate(boxes) for other in boxes[:i] if one[0] == other[0] and one[1] < other[2] and other[1] < one[2]
     ]
     figure = plot_flows(runs[car])
-    said = [text.get_text() for ax in figure.axes for text in ax.texts] + [text.get_text() for text in figure.texts]
+    (ax,) = figure.axes
+    said = [text.get_text() for text in ax.texts]
     assert any(text.startswith("rolling resistance") for text in said)
     assert any("open by" in text for text in said)
     box = figure.bbox
-    for text in (text for ax in figure.axes for text in ax.texts):
+    for text in ax.texts:
         e = text.get_window_extent()
         assert e.x0 >= 0
         assert e.x1 <= box.width
@@ -98,9 +101,23 @@ def test_the_picture_is_as_wide_as_the_energy_and_parts_do_not_overlap(runs, car
         assert e.y1 <= box.height
 
 
+def test_several_runs_are_drawn_to_the_same_scale(runs):
+    several = [runs[car] for car in ("small-car-electric", "small-car-series")]
+    (ax,) = plot_flows(*several, labels=["one", "other"]).axes
+    assert {"2 runs", "one", "other"} <= {text.get_text() for text in ax.texts}
+    assert sum("open by" in text.get_text() for text in ax.texts) == 2
+    found = [flows(r) for r in several]
+    scale = _THICK / max(map(_thickest, found))
+    bars = sorted(patch.get_height() for patch in ax.patches if isinstance(patch, Rectangle))
+    assert bars == pytest.approx(sorted(h for each in found for h in _Layout(each, scale).height.values()))
+
+
 def test_a_run_that_moves_nothing_and_a_file_that_is_none_are_refused():
     still = Road(name="still", time=np.array([0.0]), speed=np.array([0.0]))
     with pytest.raises(InputError, match="moved no energy"):
         flows(run(Vehicle.load("small-car-electric"), still))
-    with pytest.raises(InputError, match="a plot is written as"):
-        plot_flows(None, path="flows.txt")
+    with pytest.raises(InputError) as e:
+        plot_flows(path="flows.txt", labels=["a"])
+    assert [p.partition(",")[0] for p in e.value.problems] == [
+        "a plot is written as .png", "there is no run to draw", "1 labels for 0 runs"
+    ]  # fmt: skip
