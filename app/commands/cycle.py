@@ -127,7 +127,7 @@ def _part(item: str) -> _Part:
 
     word, equals, value = item.partition("=")
     if equals and word in ("pause", "soak"):
-        return _Part(rest(number(value), key_on=word == "pause"))
+        return _Part(rest(value, key_on=word == "pause"))
     found = _ITEM.fullmatch(item)
     if found is None or found["times"] == "0":
         raise HalfshaftError(f"'{item}': must be a cycle, NAME, NAME*3 or NAME@2%, or pause=60 or soak=600")

@@ -87,8 +87,10 @@ def test_all_that_is_wrong_is_one_message(tmp_path):
     assert result.exit_code == 2
     assert result.stdout == ""
     for text in (
-        "--pause and --soak", "--window 5", "'udds*0'", "cycle 'foo': not in the library", "duration = -3.0 s", "grade = 300%",
+        "--pause and --soak", "--window 5", "'udds*0'", "cycle 'foo': not in the library", "duration = -3 s", "grade = 300%",
         "a cycle is written as .csv",
     ):  # fmt: skip
         assert text in result.stderr
     assert call("udds*9999999").exit_code == 2
+    assert "duration = abc s, must be a number" in call("udds", "pause=abc").stderr
+    assert "--restore goes with CSV files" in call("udds", "--restore").stderr
