@@ -46,6 +46,9 @@ CycleName = Annotated[
 CycleNameOrNone = Annotated[
     str | None, typer.Option("--cycle", metavar="CYCLE", help="Name in the library, or a CSV file.", autocompletion=_cycles)
 ]
+GradeFile = Annotated[
+    str | None, typer.Option("--grade", metavar="G", help="Grade of the road: 3% or 0.03, or a CSV file over distance; with --cycle.")
+]
 VehicleNames = Annotated[
     list[str],
     typer.Argument(metavar="VEHICLE...", help="Names in the library, or TOML files.", show_default=False, autocompletion=_vehicles),
@@ -54,7 +57,6 @@ CycleNames = Annotated[
     list[str] | None,
     typer.Option("--cycle", metavar="CYCLE", help="Name in the library, or a CSV file; repeatable.", autocompletion=_cycles),
 ]
-GradeFile = Annotated[str | None, typer.Option("--grade", metavar="CSV", help="Grade of the road over distance, with --cycle.")]
 Smooth = Annotated[float | None, typer.Option(metavar="S", help="Smooth the trace of a recorder over windows of so many seconds.")]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle, body.m.")]
 Values = Annotated[
@@ -120,6 +122,14 @@ class Checks:
         """Note a file that cannot be written."""
         if path is not None and (problem := target_problem(path)):
             self.problem(f"{option} {path}: {problem}")
+
+    def picture(self, path: Path | None, option: str) -> None:
+        """Note a picture that cannot be drawn."""
+        self.target(path, option)
+        if path is not None:
+            from halfshaft.cosim.plot import plot_problems  # matplotlib takes a quarter of a second
+
+            self.problem(*(f"{option} {path}: {problem}" for problem in plot_problems(path)))
 
     def folder(self, path: Path | None, option: str) -> None:
         """Note a folder that cannot be made or written to."""

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from halfshaft.app.output import console, new_table
 from halfshaft.cosim.cycle import Cycle, cycle_names
+from halfshaft.cosim.units import Units
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import described
 from halfshaft.library.base.tables import Table as Map
@@ -67,13 +68,13 @@ def _cycle_rows() -> Rows:
     return ["cycle", "time \\[s]", "distance \\[km]", "top \\[km/h]", "title"], rows
 
 
-def print_named(name: str) -> None:
+def print_named(name: str, units: Units = "metric") -> None:
     """Print all numbers of a vehicle, a component or a cycle."""
     found = _find(name)
     if isinstance(found, Vehicle):
         _show_vehicle(found)
     elif isinstance(found, Cycle):
-        _show_cycle(found)
+        print_cycle(found, units)
     else:
         _show_component(found)
 
@@ -86,14 +87,14 @@ def print_toml(name: str) -> None:
     typer.echo(found.to_toml(), nl=False)
 
 
-def draw(name: str, path: Path) -> None:
+def draw(name: str, path: Path, units: Units) -> None:
     """Draw the maps of a component."""
     from halfshaft.cosim.maps import plot_maps
 
     found = _find(name)
     if not isinstance(found, ComponentFile):
         raise InputError(f"'{name}'", ["only the maps of a component are drawn; 'halfshaft show' names the components of a vehicle"])
-    plot_maps(found, path)
+    plot_maps(found, path, units)
 
 
 def _find(name: str) -> Vehicle | Cycle | ComponentFile:
@@ -175,9 +176,10 @@ def _show_component(c: ComponentFile) -> None:
     console().print(table)
 
 
-def _show_cycle(c: Cycle) -> None:
+def print_cycle(c: Cycle, units: Units = "metric") -> None:
+    """Print the figures of a cycle."""
     _head(c.name, c.title, [("source", c.source)])
     table = _value_table("figure")
-    for row in c.figures():
+    for row in c.figures(units):
         table.add_row(*row)
     console().print(table)

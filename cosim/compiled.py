@@ -10,10 +10,9 @@ from __future__ import annotations
 import ctypes
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
-from typing import Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -22,10 +21,9 @@ import numpy.typing as npt
 from halfshaft.cosim.cycle import Samples
 from halfshaft.cosim.ways import MODES as MODES
 from halfshaft.cosim.ways import Mode as Mode
-from halfshaft.fmu_build.code import compiled_tables, step_code
+from halfshaft.fmu_build.code import step_code
 from halfshaft.fmu_build.compiler import SlowWarning, shared_library
 from halfshaft.library.base.errors import CompileError, InputError, SolveError
-from halfshaft.library.base.tables import interpolants
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.model import Model
 
@@ -34,53 +32,24 @@ Array: TypeAlias = npt.NDArray[np.float64]
 NAMED = 5
 
 
-@dataclass(frozen=True)
-class March:
-    """What a march over a cycle leaves: outputs of shape ``(n, n_outputs)``, or only their totals; the last state."""
+class March(NamedTuple):
+    """What a march over a cycle leaves."""
 
-    step: Step
-    samples: Samples
+    #: Outputs of shape ``(n, n_outputs)``; None where only their totals were asked for.
     history: Array | None
-    totals: tuple[Array, Array, Array] | None
+    #: Of each output the last value, zero if there was no step; the time integral; the maximum, minus infinity without a step.
+    last: Array
+    sums: Array
+    highest: Array
+    #: The last state.
     state: Array
     evaluations: int
     #: Steps in which the search of the refined mode, or the iteration, found no speed that is reached.
     unsolved: int = 0
 
-    @cached_property
-    def last(self) -> Array:
-        """Outputs of the last step; zero if there was none."""
-        if self.totals is not None:
-            return self.totals[0]
-        assert self.history is not None
-        return self.history[-1] if len(self.history) else np.zeros(self.history.shape[1])
-
-    @cached_property
-    def sums(self) -> Array:
-        """Time integral of each output.
-
-        Raises
-        ------
-        SolveError
-            If an output is not finite in some step.
-
-        """
-        if self.totals is not None:
-            return self.totals[1]
-        assert self.history is not None
-        return integrals(self.step.name, self.step.output_index, self.samples, self.history)
-
-    @cached_property
-    def highest(self) -> Array:
-        """Maximum of each output; minus infinity if there was no step."""
-        if self.totals is not None:
-            return self.totals[2]
-        assert self.history is not None
-        return np.asarray(np.max(self.history, axis=0, initial=-np.inf))
-
 
 def integrals(name: str, outputs: Iterable[str], samples: Samples, history: Array) -> Array:
-    """Return the time integral of each output; what is not finite in any step shows in it, at no cost.
+    """Return the time integral of each output; what is not finite in any step shows in it.
 
     Raises
     ------
@@ -89,11 +58,16 @@ def integrals(name: str, outputs: Iterable[str], samples: Samples, history: Arra
 
     """
     sums: Array = np.dot(samples.dt, history)
-    if np.isfinite(sums).all():
-        return sums
+    if not np.isfinite(sums).all():
+        raise _not_finite(name, outputs, samples, history, sums)
+    return sums
+
+
+def _not_finite(name: str, outputs: Iterable[str], samples: Samples, history: Array, sums: Array) -> SolveError:
+    """Return the error that names the first step with an output that is not finite."""
     rows = np.flatnonzero(~np.isfinite(history).all(axis=1))
     k = int(rows[0]) if len(rows) else len(history) - 1
-    raise _lost(name, samples, k, outputs, history[k] if len(rows) else sums)
+    return _lost(name, samples, k, outputs, history[k] if len(rows) else sums)
 
 
 class Stepper(Protocol):
@@ -113,14 +87,16 @@ class Stepper(Protocol):
 
 def stepper(model: Model, title: str = "") -> Stepper:
     """Return the fastest stepper that this machine can make for a model."""
+    step = assemble(model, title)
     try:
-        return CompiledStep(assemble(model, title, compiled_tables))
+        return CompiledStep(step)
     except CompileError as error:
         warnings.warn(f"running without compiled code, some 400 times slower: {error}", SlowWarning, stacklevel=3)
-        return InterpretedStep(assemble(model, title, interpolants))
+        return InterpretedStep(step)
 
 
-def _address(array: Array | None) -> int | None:
+def address(array: npt.NDArray[Any] | None) -> int | None:
+    """Return where an array begins, for C."""
     # Half the time of ``array.ctypes.data``; a dozen of them count beside a cycle.
     return None if array is None else int(array.__array_interface__["data"][0])
 
@@ -153,7 +129,7 @@ def _doubles(what: str, values: npt.ArrayLike, n: int) -> Array:
     return array if array.flags.aligned else array.copy()
 
 
-def _read_by_c(samples: Samples) -> Samples:
+def read_by_c(samples: Samples) -> Samples:
     """Return samples as C reads them."""
     n, grades = len(samples.t), samples.grade_by_distance
     return samples._replace(
@@ -165,26 +141,30 @@ def _read_by_c(samples: Samples) -> Samples:
     )
 
 
+def march_code(step: Step) -> str:
+    """Return the C of a step and of the loop that drives it."""
+    the = step.tags.the
+    positions = {
+        "HS_X_V": step.state_index[the("speed")],
+        "HS_X_DISTANCE": step.state_index[the("distance")],
+        "HS_X_MISSED": step.state_index[the("missed")],
+        "HS_P_MISS": step.parameter_index[the("miss threshold")],
+        "HS_Y_REQUEST": step.output_index[the("request")],
+        "HS_Y_MISS": step.output_index[the("miss")],
+        "HS_Y_OVERSPEED": step.output_index[the("overspeed")],
+    }
+    defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
+    decisions = [*step.decisions, -1]
+    defines += f"static const int hs_decisions[] = {{{', '.join(map(str, decisions))}}};\n"
+    return step_code(step) + defines + files("halfshaft.cosim").joinpath("march.c").read_text()
+
+
 class CompiledStep:
     """A step in a shared library of its own."""
 
     def __init__(self, step: Step) -> None:
         self.step = step
-        the = step.tags.the
-        positions = {
-            "HS_X_V": step.state_index[the("speed")],
-            "HS_X_DISTANCE": step.state_index[the("distance")],
-            "HS_X_MISSED": step.state_index[the("missed")],
-            "HS_P_MISS": step.parameter_index[the("miss threshold")],
-            "HS_Y_REQUEST": step.output_index[the("request")],
-            "HS_Y_MISS": step.output_index[the("miss")],
-            "HS_Y_OVERSPEED": step.output_index[the("overspeed")],
-        }
-        defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
-        decisions = [*step.decisions, -1]
-        defines += f"static const int hs_decisions[] = {{{', '.join(map(str, decisions))}}};\n"
-        loop = files("halfshaft.cosim").joinpath("march.c").read_text()
-        self._library = ctypes.CDLL(str(shared_library(step_code(step) + defines + loop, step.name)))
+        self._library = ctypes.CDLL(str(shared_library(march_code(step), step.name)))
         for name, types in _ARGUMENTS.items():
             getattr(self._library, name).argtypes = types
         self._library.hs_march.restype = ctypes.c_long
@@ -193,7 +173,7 @@ class CompiledStep:
         """Return the start state."""
         state = np.empty(len(self.step.states))
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
-        self._library.hs_first(_address(parameters), _address(state))
+        self._library.hs_first(address(parameters), address(state))
         return state
 
     def __call__(self, state: Array, request: Array, parameters: Array) -> tuple[Array, Array]:
@@ -211,7 +191,7 @@ class CompiledStep:
             _doubles("request", request, len(self.step.requests)),
             _doubles("parameters", parameters, len(self.step.parameters)),
         )
-        if self._library.hs_one(*(_address(x) for x in (*inputs, following, outputs))):
+        if self._library.hs_one(*(address(x) for x in (*inputs, following, outputs))):
             raise SolveError(f"{self.step.name}: an input or a result of the step is not a number")
         return following, outputs
 
@@ -221,27 +201,29 @@ class CompiledStep:
         Raises
         ------
         SolveError
-            If a state is not a number, or without `history` an output is not finite; with it, the sums tell.
+            If a state is not a number, or an output is not finite.
         InputError
             If an array is of another length.
 
         """
         n, n_outputs, n_states = len(samples.t), len(self.step.outputs), len(self.step.states)
-        samples = _read_by_c(samples)
+        samples = read_by_c(samples)
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = np.empty(n_states) if state is None else _doubles("state", state, n_states).copy()
         rows = np.empty((n, n_outputs)) if history else None
-        totals = None if history else (np.empty(n_outputs), np.empty(n_outputs), np.empty(n_outputs))
+        last, sums, highest = totals = np.empty((3, n_outputs))
         counts = (ctypes.c_long * 2)()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
-            n, *map(_address, (samples.dt, samples.v, samples.grade, samples.key_on)),
-            0 if distance is None else len(distance), *map(_address, (distance, grade, parameters)),
-            state is not None, *map(_address, (x, rows, *(totals or (None, None, None)))), MODES.index(mode), counts,
+            n, *map(address, (samples.dt, samples.v, samples.grade, samples.key_on)),
+            0 if distance is None else len(distance), *map(address, (distance, grade, parameters)),
+            state is not None, *map(address, (x, rows, *totals)), MODES.index(mode), counts,
         )  # fmt: skip
         if done < n:
-            raise _lost(self.step.name, samples, done, self.step.output_index, totals and totals[1])
-        return March(self.step, samples, rows, totals, x, *counts)
+            raise _lost(self.step.name, samples, done, self.step.output_index, None if history else sums)
+        if rows is not None and not np.isfinite(sums).all():
+            raise _not_finite(self.step.name, self.step.output_index, samples, rows, sums)
+        return March(rows, last, sums, highest, x, *counts)
 
 
 class InterpretedStep:
@@ -269,7 +251,7 @@ class InterpretedStep:
         """Run a whole cycle; only the plain hybrid mode."""
         if mode != "hybrid":
             raise CompileError(f"the {mode} mode needs a C compiler")
-        samples = _read_by_c(samples)
+        samples = read_by_c(samples)
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = self.first(parameters) if state is None else _doubles("state", state, len(self.step.states))
         distance = self.step.state_index[self.step.tags.the("distance")]
@@ -281,4 +263,6 @@ class InterpretedStep:
                 x, rows[k] = self(x, np.array([v, grade, key_on, dt, 0.0]), parameters)
             except SolveError:
                 raise _lost(self.step.name, samples, k) from None
-        return March(self.step, samples, rows, None, x, len(rows))
+        last = rows[-1] if len(rows) else np.zeros(rows.shape[1])
+        sums = integrals(self.step.name, self.step.output_index, samples, rows)
+        return March(rows, last, sums, np.max(rows, axis=0, initial=-np.inf), x, len(rows))

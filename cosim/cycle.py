@@ -9,6 +9,7 @@ grade or an elevation.  `halfshaft.cosim.cycle_file` reads both.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
@@ -19,10 +20,12 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from halfshaft.cosim.cycle_file import GRADE, TRACE, read_csv
+from halfshaft.cosim.cycle_file import GRADE, TRACE, read_csv, rows_of
+from halfshaft.cosim.units import Units, shown
 from halfshaft.library.base.errors import InputError, nearest, number
 from halfshaft.library.files.notebook import Grid, card
 from halfshaft.library.files.texts import NAME, cleaned, name_problem
+from halfshaft.library.files.writing import written_whole
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Grades: TypeAlias = tuple[Array, Array]
@@ -52,7 +55,7 @@ class Samples(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """Figures of a cycle, in SI."""
+    """Figures of a cycle, in SI; `grade_min`, `grade_max` and `climb` are None where the cycle says nothing of the road."""
 
     duration: float
     distance: float
@@ -62,6 +65,12 @@ class Statistics(NamedTuple):
     a_min: float
     t_idle: float
     stops: int
+    a_mean: float
+    d_mean: float
+    t_key_off: float
+    grade_min: float | None
+    grade_max: float | None
+    climb: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,23 +150,29 @@ class Cycle:
     def _repr_html_(self) -> str:
         return card(self.name, self.title, {"source": self.source}, Grid(("figure", "value", "unit", "meaning"), self.figures()))
 
-    def figures(self) -> list[tuple[str, str, str, str]]:
-        """Return the figures of the cycle as texts, in km and km/h: name, value, unit and meaning."""
+    def figures(self, units: Units = "metric") -> list[tuple[str, str, str, str]]:
+        """Return the figures of the cycle as texts, in km and km/h or in miles and mph: name, value, unit and meaning."""
         s = self.statistics()
         rows = [
-            ("duration", f"{s.duration:.5g}", "s", "time from the first point to the last"),
-            ("distance", f"{s.distance / 1000:.5g}", "km", "distance driven if the trace is met"),
-            ("v_max", f"{s.v_max * 3.6:.5g}", "km/h", "top speed"),
-            ("v_mean", f"{s.v_mean * 3.6:.5g}", "km/h", "mean speed, stops included"),
-            ("a_max", f"{s.a_max:.5g}", "m/s^2", "largest acceleration"),
-            ("a_min", f"{s.a_min:.5g}", "m/s^2", "largest deceleration"),
-            ("t_idle", f"{s.t_idle:.5g}", "s", "time at rest"),
-            ("stops", f"{s.stops}", "1", "number of stops"),
+            ("duration", "time", s.duration, "time from the first point to the last"),
+            ("distance", "distance", s.distance, "distance driven if the trace is met"),
+            ("v_max", "speed", s.v_max, "top speed"),
+            ("v_mean", "speed", s.v_mean, "mean speed, stops included"),
+            ("a_max", "acceleration", s.a_max, "largest acceleration"),
+            ("a_mean", "acceleration", s.a_mean, "mean acceleration, while the speed rises"),
+            ("a_min", "acceleration", s.a_min, "largest deceleration"),
+            ("d_mean", "acceleration", s.d_mean, "mean deceleration, while the speed falls"),
+            ("t_idle", "time", s.t_idle, "time at rest"),
         ]
-        grade, over = (self.grade_by_distance[1], "distance") if self.grade_by_distance is not None else (self.grade, "time")
-        if grade is not None:
-            rows.append(("grade", f"{100 * grade.min():.3g} to {100 * grade.max():.3g}", "%", f"grade of the road, by {over}"))
-        return rows
+        if s.t_key_off:
+            rows.append(("t_key_off", "time", s.t_key_off, "time with the key off"))
+        found = [(name, *shown(quantity, value, units, form=".5g").split(" ", 1), meaning) for name, quantity, value, meaning in rows]
+        found.append(("stops", f"{s.stops}", "1", "number of stops"))
+        if s.grade_min is not None and s.grade_max is not None:
+            over = "time" if self.grade_by_distance is None else "distance"
+            found.append(("grade", f"{100 * s.grade_min:.3g} to {100 * s.grade_max:.3g}", "%", f"grade of the road, by {over}"))
+            found.append(("climb", *shown("way", s.climb, units, form=".4g").split(" ", 1), "height of all rises together"))
+        return [(name, value, unit, meaning) for name, value, unit, meaning in found]
 
     @property
     def duration(self) -> float:
@@ -165,7 +180,7 @@ class Cycle:
         return float(self.time[-1] - self.time[0])
 
     @classmethod
-    def load(cls, source: str | Path, grade: str | Path | None = None) -> Cycle:
+    def load(cls, source: str | Path, grade: float | str | Path | None = None) -> Cycle:
         """Return a cycle of the library by name, or of a CSV file.
 
         Parameters
@@ -173,27 +188,26 @@ class Cycle:
         source
             Name, in any case of letters, or path ending in ``.csv``.
         grade
-            CSV file with a grade over distance.
+            Its road, as in `graded`.
 
         """
+        if grade is not None:
+            return cls.load(source).graded(grade)
         path: Path | Traversable = Path(source)
-        grade_path: Path | Traversable | None = Path(grade) if grade is not None else None
+        grade_path: Path | Traversable | None = None
         if isinstance(source, str) and not source.lower().endswith(".csv"):
             library = _library("cycles")
             if source.lower() not in library:
                 raise InputError(f"cycle '{source}'", [f"not in the library{nearest(source.lower(), library)}"])
             path = library[source.lower()]
-            grade_path = grade_path or _library("grades").get(source.lower())
+            grade_path = _library("grades").get(source.lower())
         notes, columns = read_csv(path, TRACE, "time")
         speed = columns["speed"]
         below = speed < 0
         zeroed = (f"{np.sum(below)} speeds below zero, down to {speed.min():.2g} m/s, were set to 0",) if below.any() else ()
         by_distance = None
         if grade_path is not None:
-            _, over = read_csv(grade_path, GRADE, "distance")
-            by_distance = over["distance"], over["grade"] if "grade" in over else over["elevation"]
-            if "elevation" in over:
-                by_distance = _slopes(*by_distance)
+            by_distance = _road(grade_path)
         elif "elevation" in columns:
             travelled = _integral(columns["time"], np.maximum(speed, 0))
             forth = np.append(True, np.diff(travelled) > 0)
@@ -208,10 +222,47 @@ class Cycle:
                 grade=columns.get("grade"),
                 key_on=columns.get("key_on"),
                 grade_by_distance=by_distance,
-                notes=zeroed,
+                notes=(*filter(None, notes.get("note", "").split("\n")), *zeroed),
             )
         except InputError as e:
             raise InputError(str(path), e.problems) from None
+
+    def save(self, path: str | Path, grade: str | Path | None = None) -> None:
+        """Write the cycle to a CSV file that `load` reads as the same numbers, to the last bit.
+
+        Parameters
+        ----------
+        path
+            The file, ending in ``.csv``.
+        grade
+            A second one for a grade over distance, where the cycle has one.
+
+        Raises
+        ------
+        InputError
+            If a file cannot be written, or the cycle has a grade over distance and no file for it was given.
+
+        """
+        problems = [] if str(path).lower().endswith(".csv") else [f"a cycle is written as .csv, not as '{Path(path).suffix}'"]
+        if self.grade_by_distance is not None and grade is None:
+            problems.append("has a grade over distance, which needs a file of its own")
+        if problems:
+            raise InputError(str(path), problems)
+        trace, road = self.texts()
+        for target, text in ((path, trace), (grade, road)):
+            if text and target is not None:
+                with written_whole(target) as part:
+                    part.write_text(text, encoding="utf-8", newline="\n")
+
+    def texts(self) -> tuple[str, str]:
+        """Return the cycle as the text of its file, and that of a second one for a grade over distance; empty without one."""
+        told = [("name", self.name), ("title", self.title), ("source", self.source), *(("note", note) for note in self.notes)]
+        columns = {"time_s": self.time, "speed_mps": self.speed, "grade": self.grade, "key_on": self.key_on}
+        lines = [f"# {key}: {' '.join(text.split())}" for key, text in told]
+        lines += rows_of({title: x for title, x in columns.items() if x is not None})
+        road = [] if self.grade_by_distance is None else rows_of(dict(zip(("distance_m", "grade"), self.grade_by_distance, strict=True)))
+        trace, profile = ("".join(f"{line}\n" for line in text) for text in (lines, road))
+        return trace, profile
 
     def sampled(self, dt: float) -> Samples:
         """Return the steps of a run; the last one is shorter where `dt` does not divide the duration.
@@ -221,6 +272,14 @@ class Cycle:
         step: so nothing between is lost, and the distance is the trace's.  Grades are read in the same way.
         """
         dt = number(dt)
+        kept: tuple[float, Samples] | None = self.__dict__.get("_sampled")
+        if kept is None or kept[0] != dt:
+            kept = dt, self._sample(dt)
+            # Runs ask for the same again and again.
+            self.__dict__["_sampled"] = kept
+        return kept[1]
+
+    def _sample(self, dt: float) -> Samples:
         if not (math.isfinite(dt) and dt > TIME_STEP):
             raise InputError(f"cycle '{self.name}'", [f"dt = {dt:g} s, must be > {TIME_STEP:g} s"])
         if self.duration / dt > MOST_STEPS:
@@ -247,10 +306,12 @@ class Cycle:
             grade = np.zeros(n) if self.grade is None else np.interp(t, self.time, self.grade)
         # Between a point with the key on and one with it off, the key is on.
         key_on = np.ones(n) if self.key_on is None else (np.interp(t, self.time, self.key_on) > 0).astype(float)
+        for x in (t, steps, v, grade, key_on):
+            x.flags.writeable = False
         return Samples(t, steps, v, grade, key_on, float(v_start), self.grade_by_distance)
 
-    def smoothed(self, width: float) -> Cycle:
-        """Return the cycle with the noise of a recorder smoothed out of its speeds.
+    def smoothed(self, width: float = 3.0) -> Cycle:
+        """Return the cycle with its speeds smoothed by a moving mean; `halfshaft.cosim.recording` does more for a recorder's trace.
 
         Each speed becomes the mean of the trace over a window of `width` seconds around its time, cut at both sides alike
         where it would reach beyond the first or the last point.  Distance and rests longer than `width` stay.
@@ -298,12 +359,64 @@ class Cycle:
             raise InputError(f"cycle '{self.name}'", [f"factor = {factor:g}, must be >= 0"])
         return replace(self, name=f"{self.name[:80]}-x{factor:g}", speed=self.speed * factor)
 
+    def graded(self, grade: float | str | Path) -> Cycle:
+        """Return the cycle on another road than its own.
+
+        Parameters
+        ----------
+        grade
+            A constant grade as rise over run, ``0.03`` or ``"3 %"``; or a CSV file with a grade over distance.
+
+        """
+        if isinstance(grade, Path) or (isinstance(grade, str) and not re.fullmatch(r"\s*[-+.\d][-+.\de]*\s*%?\s*", grade)):
+            return replace(self, grade=None, grade_by_distance=_road(Path(grade)))
+        text = str(grade).strip()
+        constant = number(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        if not -1 <= constant <= 1:
+            raise InputError(f"cycle '{self.name}'", [f"grade = {text}, must be >= -1 and <= 1{GRADE_CURE}"])
+        name = f"{self.name[:80]}-grade{100 * constant:+g}"
+        return replace(self, name=name, grade=np.full(len(self.time), constant), grade_by_distance=None)
+
+    def between(self, begin: float, end: float) -> Cycle:
+        """Return the part of the cycle from one time to another [s], which keeps its times."""
+        begin, end = number(begin), number(end)
+        first, last = self.time[[0, -1]]
+        if not first <= begin < end <= last:
+            allowed = f"must rise and lie within {first:g} and {last:g} s"
+            raise InputError(f"cycle '{self.name}'", [f"the part from {begin:g} to {end:g} s {allowed}"])
+        inside = (self.time > begin + TIME_STEP) & (self.time < end - TIME_STEP)
+        time = np.concatenate([[begin], self.time[inside], [end]])
+        speed = np.interp(time, self.time, self.speed)
+        grade = None if self.grade is None else np.interp(time, self.time, self.grade)
+        key_on = None if self.key_on is None else (np.interp(time, self.time, self.key_on) > 0).astype(float)
+        road = self.grade_by_distance
+        if road is not None:
+            start, stop = _integral_at(self.time, self.speed, np.array([begin, end]))
+            road = cut(*road, start, stop) if stop > start else None
+        name = f"{self.name[:80]}-{begin:g}-{end:g}"
+        return replace(self, name=name, time=time, speed=speed, grade=grade, key_on=key_on, grade_by_distance=road)
+
+    def time_at(self, edges: npt.ArrayLike) -> Array:
+        """Return the time that the cycle drives at speeds between rising edges [m/s], the lower one included [s]."""
+        dt, low, high = np.diff(self.time), np.minimum(self.speed[1:], self.speed[:-1]), np.maximum(self.speed[1:], self.speed[:-1])
+        even = high == low
+        rise = np.where(even, 1.0, high - low)
+        below = [np.where(even, low < v, np.clip((v - low) / rise, 0, 1)) @ dt for v in np.asarray(edges, dtype=float)]
+        return np.diff(below)
+
     def statistics(self) -> Statistics:
         """Return the figures of the cycle."""
         dt, v = np.diff(self.time), self.speed
-        a = np.diff(v) / dt
+        dv = np.diff(v)
+        a = dv / dt
         distance = float(np.sum((v[1:] + v[:-1]) / 2 * dt))
         still = (v[1:] == 0) & (v[:-1] == 0)
+        up, down = dv > 0, dv < 0
+        road = self.grade_by_distance and cut(*self.grade_by_distance, 0.0, max(distance, 1.0))
+        if self.grade is not None:
+            road = _integral(self.time, v), self.grade
+        sine = None if road is None else np.maximum(np.sin(np.arctan(road[1])), 0)
+        off = 0.0 if self.key_on is None else float(dt @ ((self.key_on[1:] <= 0) & (self.key_on[:-1] <= 0)))
         return Statistics(
             duration=self.duration,
             distance=distance,
@@ -313,6 +426,12 @@ class Cycle:
             a_min=float(a.min(initial=0.0)),
             t_idle=float(dt[still].sum()),
             stops=int(np.sum((v[1:] == 0) & (v[:-1] > 0))),
+            a_mean=float(dv[up].sum() / dt[up].sum()) if up.any() else 0.0,
+            d_mean=float(dv[down].sum() / dt[down].sum()) if down.any() else 0.0,
+            t_key_off=off,
+            grade_min=None if road is None else float(road[1].min()),
+            grade_max=None if road is None else float(road[1].max()),
+            climb=None if road is None or sine is None else float(np.sum((sine[1:] + sine[:-1]) / 2 * np.diff(road[0]))),
         )
 
 
@@ -397,6 +516,18 @@ def _integral_at(x: Array, y: Array, places: Array) -> Array:
 def _means(x: Array, y: Array, edges: Array) -> Array:
     """Return the means of a piecewise linear row between edges."""
     return np.diff(_integral_at(x, y, edges)) / np.diff(edges)
+
+
+def cut(x: Array, y: Array, begin: float, end: float) -> Grades:
+    """Return a profile between two places, counted from the first; before its start and beyond its end it stays as it is there."""
+    places = np.concatenate([[begin], x[(x > begin) & (x < end)], [end]])
+    return places - begin, np.interp(places, x, y)
+
+
+def _road(path: Path | Traversable) -> Grades | None:
+    """Return the grade over distance that a file holds."""
+    _, over = read_csv(path, GRADE, "distance")
+    return (over["distance"], over["grade"]) if "grade" in over else _slopes(over["distance"], over["elevation"])
 
 
 def _slopes(distance: Array, elevation: Array) -> Grades | None:

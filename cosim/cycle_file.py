@@ -92,7 +92,7 @@ class Column(NamedTuple):
 
 
 def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str) -> tuple[dict[str, str], dict[str, Array]]:
-    """Return the notes and the columns of a CSV file in SI.
+    """Return what stands before the columns of a CSV file (several notes one below the other), and the columns in SI.
 
     Parameters
     ----------
@@ -111,11 +111,12 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
     """
     # Not by `splitlines`, which also breaks at control characters.
     lines = read_text(path, LARGEST).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    notes = {
-        m[1]: m[2].strip() if m[1] == "name" else cleaned(m[2])
-        for line in lines
-        if line.startswith("#") and (m := re.match(r"#\s*(name|title|source):(.*)", line))
-    }
+    notes: dict[str, str] = {}
+    for line in lines:
+        if line.startswith("#") and (m := re.match(r"#\s*(name|title|source|note):(.*)", line)):
+            text = m[2].strip() if m[1] == "name" else cleaned(m[2])
+            # There may be several notes.
+            notes[m[1]] = f"{notes[m[1]]}\n{text}" if m[1] == "note" and "note" in notes else text
     start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith(("#", "sep="))), None)
     if start is None:
         raise InputError(str(path), ["is empty"])
@@ -129,6 +130,11 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
     if not found or not all(_holds(known[name], x) for name, x in found.items()) or np.any(np.diff(found[axis]) <= 0):
         raise InputError(str(path), _wrong(body, start + 2, separator, columns, width, known, axis))
     return notes, found
+
+
+def rows_of(columns: Mapping[str, Array]) -> list[str]:
+    """Return the lines of a CSV file with these columns; what is read of them is the same to the last bit."""
+    return [",".join(columns), *(",".join(map(repr, row)) for row in np.column_stack(list(columns.values())).tolist())]
 
 
 def _quickly(body: Sequence[str], separator: str, columns: Sequence[Column], width: int) -> Array | None:

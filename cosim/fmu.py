@@ -7,7 +7,7 @@ from pathlib import Path
 
 from halfshaft.cosim.cycle import Cycle, Samples, cycle_names
 from halfshaft.fmu_build import package
-from halfshaft.fmu_build.code import compiled_tables, step_code
+from halfshaft.fmu_build.code import step_code
 from halfshaft.fmu_build.variables import SHORTEST_STEP, CycleTable, Version
 from halfshaft.library.base.errors import InputError, not_a, number
 from halfshaft.models.assembly import Step, assemble
@@ -45,7 +45,7 @@ def build_fmu(vehicle: Vehicle, path: str | Path, *, fmi: Version, cycle: Cycle 
     if problems:
         raise InputError(f"FMU of '{vehicle.name}'", problems)
     table = None if cycle is None else _cycle_table(cycle.name, cycle.sampled(dt))
-    step = assemble(vehicle.model(), vehicle.title, compiled_tables)
+    step = assemble(vehicle.model(), vehicle.title)
     stop_time = default_stop_time() if cycle is None else None
     return package.build_fmu(step, step_code(step), path, fmi=fmi, step_size=dt, cycle=table, name=vehicle.name, stop_time=stop_time)
 

@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.cosim.plot import COLOURS, EDGE, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
+from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
+from halfshaft.cosim.units import Units, edge
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.parameters import Parameters, Spec, spec_of
 from halfshaft.library.base.tables import Axis, Table
@@ -36,7 +37,7 @@ class _Map:
     values: Array
 
 
-def plot_maps(file: ComponentFile, path: str | Path | None = None) -> Figure:
+def plot_maps(file: ComponentFile, path: str | Path | None = None, units: Units = "metric") -> Figure:
     """Draw all maps of a component.
 
     Parameters
@@ -45,6 +46,8 @@ def plot_maps(file: ComponentFile, path: str | Path | None = None) -> Figure:
         The component.
     path
         A PNG, SVG or PDF file to write, whole or not at all.
+    units
+        Of axes and values.
 
     Raises
     ------
@@ -52,7 +55,7 @@ def plot_maps(file: ComponentFile, path: str | Path | None = None) -> Figure:
         If the component has no maps, or the file cannot be written.
 
     """
-    maps = list(_maps(file))
+    maps = list(_maps(file, units))
     within = {one.title: [other for other in maps if _is_envelope(other, one)] for one in maps}
     maps = [one for one in maps if not any(one in envelopes for envelopes in within.values())]
     problems = plot_problems(Path(path)) if path is not None else []
@@ -82,7 +85,7 @@ def _is_envelope(line: _Map, m: _Map) -> bool:
     return len(m.axes) == 2 and line.axes == m.axes[:1] and line.unit == m.axes[1].unit and min(map(len, m.points)) > _FEW
 
 
-def _maps(file: ComponentFile) -> Iterator[_Map]:
+def _maps(file: ComponentFile, units: Units) -> Iterator[_Map]:
     """Yield the maps, those of three axes as one of two for each point of the third."""
     kind: type[Parameters] = file.component.parameters
     for f in fields(kind):
@@ -94,17 +97,16 @@ def _maps(file: ComponentFile) -> Iterator[_Map]:
         axes, points = tuple(spec.axes[i] for i in live), tuple(table.points[i] for i in live)
         values = table.values[tuple(slice(None) if i in live else 0 for i in range(len(spec.axes)))]
         if len(axes) < 3:
-            yield _shown(f.name, spec, axes, points, values)
+            yield _shown(f.name, spec, axes, points, values, units)
             continue
         for i, x in enumerate(points[2]):
-            yield _shown(f"{f.name}, {axes[2].name} {x:g}", spec, axes[:2], points[:2], values[:, :, i])
+            yield _shown(f"{f.name}, {axes[2].name} {x:g}", spec, axes[:2], points[:2], values[:, :, i], units)
 
 
-def _shown(name: str, spec: Spec, axes: tuple[Axis, ...], points: tuple[Array, ...], values: Array) -> _Map:
-    edges = [EDGE.get(a.unit, (a.unit, 1.0, 0.0)) for a in axes]
-    unit, factor, offset = EDGE.get(spec.unit, (spec.unit, 1.0, 0.0))
-    named = tuple(Axis(a.name, edge[0]) for a, edge in zip(axes, edges, strict=True))
-    moved = tuple(x * edge[1] + edge[2] for x, edge in zip(points, edges, strict=True))
+def _shown(name: str, spec: Spec, axes: tuple[Axis, ...], points: tuple[Array, ...], values: Array, units: Units) -> _Map:
+    unit, factor, offset = edge(spec.unit, units)
+    named = tuple(Axis(a.name, edge(a.unit, units).name) for a in axes)
+    moved = tuple(x * scale + zero for x, (_, scale, zero) in zip(points, (edge(a.unit, units) for a in axes), strict=True))
     return _Map(f"{name}: {spec.doc}", unit, named, moved, values * factor + offset)
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
+import tomlkit
 
-from halfshaft.cosim.cycle import Array, Cycle
+from halfshaft.cosim.cycle import Cycle
 from halfshaft.library.files.component_file import ComponentFile
 from halfshaft.models.vehicle import Vehicle
 
@@ -81,6 +83,18 @@ class Origin:
         texts = {"vehicle": self.vehicle._asdict(), "cycle": self.cycle._asdict(), "parts": parts}
         return {**self.__dict__, **texts, "ratings": self.ratings._asdict()}
 
+    def rebuilt(self) -> Vehicle:
+        """Return the vehicle, made again of the texts; its powertrain must be installed."""
+        with tempfile.TemporaryDirectory() as folder:
+            data = tomlkit.parse(self.vehicle.text)
+            data["parts"] = {role: f"{role}/{part.name}.toml" for role, part in self.parts.items()}
+            for role, part in self.parts.items():
+                Path(folder, role).mkdir()
+                Path(folder, role, f"{part.name}.toml").write_text(part.text, encoding="utf-8")
+            path = Path(folder, f"{self.vehicle.name}.toml")
+            path.write_text(tomlkit.dumps(data), encoding="utf-8")
+            return Vehicle.load(path)
+
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> Origin:
         """Return what `plain` gave."""
@@ -109,15 +123,25 @@ class Made:
         energies, powers = ({role: r[what] for role, r in rated.items() if what in r} for what in ("energy", "traction power"))
         return Ratings(sum(energies.values()) if energies else None, sum(powers.values()) if powers else None, energies)
 
+    @property
+    def date(self) -> str:
+        """When the run was made, UTC."""
+        return datetime.fromtimestamp(self.time, UTC).isoformat(timespec="seconds")
+
+    @property
+    def machine(self) -> str:
+        """Operating system and processor."""
+        return machine()
+
     @cached_property
     def origin(self) -> Origin:
         """What the run was made of, in full."""
         return Origin(
             vehicle=vehicle_text(self.vehicle),
-            cycle=_text("cycle", self.cycle, _csv(self.cycle)),
+            cycle=_cycle(self.cycle),
             parts={role: part_text(part) for role, part in self.vehicle.parts.items()},
-            date=datetime.fromtimestamp(self.time, UTC).isoformat(timespec="seconds"),
-            machine=machine(),
+            date=self.date,
+            machine=self.machine,
             versions=versions(),
             ratings=self.ratings,
         )
@@ -142,11 +166,17 @@ class Hashes(Mapping[str, str]):
         return 1 + len(self._made.vehicle.parts)
 
 
+@lru_cache(maxsize=16)
+def _cycle(cycle: Cycle) -> Text:
+    return _text("cycle", cycle, _csv(cycle))
+
+
 def machine() -> str:
     """Return operating system and processor."""
     return f"{platform.system()} {platform.release()} {platform.machine()}"
 
 
+@cache
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that make the numbers."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
@@ -170,15 +200,4 @@ def _text(kind: str, named: Any, text: str) -> Text:
 
 def _csv(cycle: Cycle) -> str:
     """Return a cycle as the text of its file; a grade over distance follows as a second one."""
-    notes = {"name": cycle.name, "title": cycle.title, "source": cycle.source}
-    head = [f"# {key}: {' '.join(note.split())}" for key, note in notes.items()]
-    columns = {"time_s": cycle.time, "speed_mps": cycle.speed, "grade": cycle.grade, "key_on": cycle.key_on}
-    lines = [*head, *_rows({title: x for title, x in columns.items() if x is not None})]
-    if cycle.grade_by_distance is not None:
-        distance, grade = cycle.grade_by_distance
-        lines += ["", *_rows({"distance_m": distance, "grade": grade})]
-    return "\n".join(lines) + "\n"
-
-
-def _rows(columns: Mapping[str, Array]) -> list[str]:
-    return [",".join(columns), *(",".join(map(repr, row)) for row in np.column_stack(list(columns.values())).tolist())]
+    return "\n".join(filter(None, cycle.texts()))

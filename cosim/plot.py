@@ -22,6 +22,7 @@ from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.result import Result
+from halfshaft.cosim.units import Units, edge, shown
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.tags import part_of
 from halfshaft.library.files.writing import source_date, written_whole
@@ -39,10 +40,8 @@ STYLE: Any = {
     "font.size": 9.0, "text.color": INK, "lines.solid_joinstyle": "round", "lines.solid_capstyle": "round",
     "axes.unicode_minus": True, "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip
-#: What a reader sees for an SI unit: unit, factor and offset.
-EDGE = {"W": ("kW", 1e-3, 0.0), "m/s": ("km/h", 3.6, 0.0), "K": ("\u00b0C", 1.0, -273.15), "J": ("Wh", 1 / 3600, 0.0)}
 #: Units of the time axis by the length that they are good for [s].
-_TIMES = ((1800.0, "s", 1.0), (3 * 3600.0, "min", 60.0), (float("inf"), "h", 3600.0))
+TIMES = ((1800.0, "s", 1.0), (3 * 3600.0, "min", 60.0), (float("inf"), "h", 3600.0))
 _KINDS = {"lost": _ORANGE, "stored": _BLUE, "error of the method": "#a6a6a6"}
 #: Losses below this share of the turnover are summed up; other lines below that one are left out.
 _SMALL, _TINY = 0.005, 5e-4
@@ -65,6 +64,7 @@ def plot_run(
     panels: str | Sequence[str] | None = None,
     labels: Sequence[str] | None = None,
     axes: Axes | Sequence[Axes] | None = None,
+    units: Units = "metric",
     path: str | Path | None = None,
 ) -> Figure:
     """Draw a run, or several over each other.
@@ -80,6 +80,8 @@ def plot_run(
         Names of the runs; without them, what tells the runs apart.
     axes
         Axes of your own to draw into, one for each panel; only what is drawn is added to them, no style.
+    units
+        Of the axes and of the numbers in the head.
     path
         A PNG, SVG or PDF file to write, whole or not at all.
 
@@ -105,7 +107,7 @@ def plot_run(
     where = str(path) if path is not None else "plot"
     if problems:
         raise InputError(where, problems)
-    runs = _Runs(results, tuple(labels or _labels(results)))
+    runs = _Runs(results, tuple(labels or labels_of(results)), units)
     outputs = dict.fromkeys(d.name for r in results for d in r.outputs)
     usual = _panels(runs)
     known = {**{name: _output_panel(runs, name) for name in outputs}, **usual}
@@ -149,11 +151,11 @@ class _Panel(NamedTuple):
 class _Runs:
     """Runs over each other, and the axis of time that they share."""
 
-    def __init__(self, results: tuple[Result, ...], labels: tuple[str, ...]) -> None:
-        self.results, self.labels = results, labels
+    def __init__(self, results: tuple[Result, ...], labels: tuple[str, ...], units: Units) -> None:
+        self.results, self.labels, self.units = results, labels, units
         self.one = results[0] if len(results) == 1 else None
         begin, end = min(_start(r) for r in results), max(float(r.time[-1]) for r in results)
-        self.unit, self.second = next((unit, 1 / length) for longest, unit, length in _TIMES if end - begin <= longest)
+        self.unit, self.second = next((unit, 1 / length) for longest, unit, length in TIMES if end - begin <= longest)
         self.limits = begin * self.second, end * self.second
 
     def coloured(self) -> list[tuple[Result, Array, str, str]]:
@@ -170,18 +172,17 @@ def _method(result: Result) -> str:
     return "forward-facing model" if inputs.via == "forward" else f"{inputs.mode} step of {inputs.dt:g} s"
 
 
-def _labels(results: Sequence[Result]) -> list[str]:
-    """Return what tells runs apart: vehicle, cycle, method, then the first two numbers that differ."""
+def labels_of(results: Sequence[Result]) -> list[str]:
+    """Return what tells runs apart: vehicle, cycle, method; then, of those that are alike, the first two numbers that differ."""
     traits = [(r.inputs.vehicle, r.inputs.cycle, _method(r)) for r in results]
     differing = [i for i in range(3) if len({t[i] for t in traits}) > 1]
     labels = [", ".join(t[i] for i in differing) for t in traits]
-    if len(set(labels)) < len(results):
-        sets = [r.inputs.parameters for r in results]
-        names = [name for name in sets[0] if len({p.get(name) for p in sets}) > 1][:2]
-        labels = [
-            ", ".join([label, *(f"{name} = {p[name]:g}" for name in names if name in p)]) for label, p in zip(labels, sets, strict=True)
-        ]
-    labels = [label.removeprefix(", ") for label in labels]
+    for label in {label for label in labels if labels.count(label) > 1}:
+        alike = [i for i, other in enumerate(labels) if other == label]
+        sets = {i: results[i].inputs.parameters for i in alike}
+        names = [name for name in sets[alike[0]] if len({p.get(name) for p in sets.values()}) > 1][:2]
+        for i, p in sets.items():
+            labels[i] = ", ".join(filter(None, [label, *(f"{name} = {p[name]:g}" for name in names if name in p)]))
     alike = [labels[: i + 1].count(label) for i, label in enumerate(labels)]
     return [label if labels.count(label) == 1 else f"{label} ({n})".strip() for label, n in zip(labels, alike, strict=True)]
 
@@ -269,15 +270,15 @@ def dress(ax: Axes) -> None:
     ax.yaxis.label.set_color(SOFT)
 
 
-def _facts(result: Result) -> list[str]:
+def _facts(result: Result, units: Units) -> list[str]:
     s = result.summary
-    facts = [f"{s['distance_m'] / 1000:.2f} km in {s['duration_s']:g} s"]
+    facts = [f"{shown('distance', s['distance_m'], units, 2)} in {s['duration_s']:g} s"]
     if s["fuel_economy_L_per_100km"] is not None:
         balanced = s["fuel_equivalent_L_per_100km"]
-        more = "" if balanced is None else f" ({balanced:.2f} with the battery as fuel)"
-        facts.append(f"fuel {s['fuel_economy_L_per_100km']:.2f} L/100 km{more}")
+        more = "" if balanced is None else f" ({shown('economy', balanced, units, 2).split()[0]} with the battery as fuel)"
+        facts.append(f"fuel {shown('economy', s['fuel_economy_L_per_100km'], units, 2)}{more}")
     if s["motor_input_J"] is not None:
-        facts.append(f"motor input {s['motor_input_J'] / 3.6e6:.2f} kWh")
+        facts.append(f"motor input {shown('energy', s['motor_input_J'], units, 2)}")
     if s["soc_end"] is not None:
         facts.append(f"charge {100 * s['soc_start']:.1f} to {100 * s['soc_end']:.1f} %")
     return facts
@@ -298,13 +299,13 @@ def _title(figure: Figure, runs: _Runs) -> None:
     for i, (result, _, colour, label) in enumerate(runs.coloured()):
         y = 1 - (0.57 + 0.24 * i) / height
         if runs.one:
-            line = figure.text(x, y, "   \u00b7   ".join(_facts(result)), va="baseline", color=SOFT)
+            line = figure.text(x, y, "   \u00b7   ".join(_facts(result, runs.units)), va="baseline", color=SOFT)
             line.set_fontsize(9.0 * min(1.0, (width - _LEFT - _RIGHT) / _wide(line)))
         else:
             figure.add_artist(Line2D([x, x + 0.2 / width], [y + 0.045 / height] * 2, color=colour, lw=2.2))
             named = figure.text(x + 0.3 / width, y, label, va="baseline")
             told = figure.text(1 - _RIGHT / width, y, "", va="baseline", ha="right", color=SOFT)
-            room, (_, *said) = width - _LEFT - _RIGHT - 0.5 - _wide(named), _facts(result)
+            room, (_, *said) = width - _LEFT - _RIGHT - 0.5 - _wide(named), _facts(result, runs.units)
             # As many as have room beside the name, the first ones first.
             for n in range(len(said), -1, -1):
                 told.set_text("  \u00b7  ".join(said[:n]))
@@ -325,16 +326,17 @@ def _over_time(ax: Axes, runs: _Runs, label: str) -> None:
 
 
 def _speed(ax: Axes, runs: _Runs) -> None:
-    fastest = max(float(r.the("speed").max()) for r in runs.results) * 3.6
-    asked = max(float(r.the("request").max()) for r in runs.results) * 3.6
+    unit, factor, _ = edge("m/s", runs.units)
+    fastest = max(float(r.the("speed").max()) for r in runs.results) * factor
+    asked = max(float(r.the("request").max()) for r in runs.results) * factor
     requests: list[tuple[Array, Array]] = []
     for i, (r, t, colour, _) in enumerate(runs.coloured()):
-        wanted, achieved = 3.6 * r.the("request"), 3.6 * r.the("speed")
+        wanted, achieved = factor * r.the("request"), factor * r.the("speed")
         if not any(len(t) == len(other) and np.array_equal(wanted, v) for other, v in requests):
             requests.append((t, wanted))
             ax.plot(t, wanted, color="#a6a6a6", lw=2.4, label="requested" if len(requests) == 1 else None)
         ax.plot(t, achieved, color=colour, lw=1.1, label="achieved" if runs.one else None)
-        missed = wanted - achieved > 3.6 * r.inputs.parameters[r.tags.the("miss threshold")]
+        missed = wanted - achieved > factor * r.inputs.parameters[r.tags.the("miss threshold")]
         if missed.any():
             begin = np.concatenate([[_start(r) * runs.second], t[:-1]])
             steps = list(zip(begin[missed].tolist(), (t - begin)[missed].tolist(), strict=True))
@@ -343,8 +345,8 @@ def _speed(ax: Axes, runs: _Runs) -> None:
             ax.broken_barh(steps, place, transform=ax.get_xaxis_transform(), color=mark, lw=0.7, label="trace missed" if runs.one else None)
     # A request that nobody can follow, as in full acceleration, must not flatten what was achieved.
     ax.set_ylim(0, 1.1 * max(min(asked, 1.25 * fastest), fastest, 1.0))
-    _over_time(ax, runs, "speed [km/h]")
-    _legend(ax)
+    _over_time(ax, runs, f"speed [{unit}]")
+    legend(ax)
 
 
 def _grade(ax: Axes, runs: _Runs) -> None:
@@ -370,7 +372,7 @@ def _power(ax: Axes, runs: _Runs, powers: Sequence[tuple[str, str, str]]) -> Non
     ax.margins(y=0.08)
     ax.yaxis.set_major_locator(MaxNLocator(5))
     _over_time(ax, runs, "power [kW]")
-    _legend(ax)
+    legend(ax)
 
 
 def _output(ax: Axes, runs: _Runs, name: str, label: str) -> None:
@@ -378,7 +380,7 @@ def _output(ax: Axes, runs: _Runs, name: str, label: str) -> None:
     for r, t, colour, _ in runs.coloured():
         for d in r.outputs:
             if d.name == name:
-                unit, factor, offset = EDGE.get(d.unit, (d.unit, 1.0, 0.0))
+                unit, factor, offset = edge(d.unit, runs.units)
                 ax.plot(t, r[name] * factor + offset, color=colour, lw=0.9)
     ax.margins(y=0.08)
     ax.yaxis.set_major_locator(MaxNLocator(4))
@@ -469,7 +471,8 @@ def _energy(ax: Axes, runs: _Runs, bars: Sequence[Sequence[_Bar]]) -> None:
     ax.set_title("Where the energy went [Wh]", loc="left", fontsize=9.5, color=INK, pad=7)
 
 
-def _legend(ax: Axes) -> None:
+def legend(ax: Axes) -> None:
+    """Write the legend above the axes, on the left."""
     ax.legend(
         loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=4, handlelength=1.2, handletextpad=0.5,
         columnspacing=1.5, labelcolor=SOFT, fontsize=8.5, frameon=False,

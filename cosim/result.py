@@ -24,8 +24,10 @@ from halfshaft.library.base.tags import Tag, Tags
 from halfshaft.library.files.texts import open_regular
 from halfshaft.library.files.writing import written_whole
 from halfshaft.models.assembly import Description
+from halfshaft.models.vehicle import Vehicle
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 #: What a saved run is written as; 1 had no origin, 2 no tags.
@@ -152,6 +154,20 @@ class Result:
         return self.made.origin if isinstance(self.made, Made) else self.made
 
     @cached_property
+    def vehicle(self) -> Vehicle:
+        """What ran; of a run that was loaded, made again of what its file keeps.
+
+        Raises
+        ------
+        InputError
+            If the file is of version 0.1, or its powertrain is not installed.
+
+        """
+        if self.made is None:
+            raise InputError("result", ["a file of version 0.1 does not say what the vehicle was made of"])
+        return self.made.vehicle if isinstance(self.made, Made) else self.made.rebuilt()
+
+    @cached_property
     def account(self) -> Account:
         """The energy account."""
         return account(self.outputs, self.energies)
@@ -183,17 +199,35 @@ class Result:
         import xarray as xr  # takes a fifth of a second
 
         rows = self._rows
-        series = {d.name: xr.DataArray(rows[:, i], dims="time", attrs=_attributes(d)) for i, d in enumerate(self.outputs)}
-        time = xr.DataArray(self.time, dims="time", attrs={"units": "s", "long_name": "end of the step", "axis": "T"})
+        series = {d.name: ("time", rows[:, i], _attributes(d)) for i, d in enumerate(self.outputs)}
+        time = ("time", self.time, {"units": "s", "long_name": "end of the step", "axis": "T"})
         attributes = {
             "Conventions": "CF-1.11",
             "title": f"{self.inputs.vehicle} over {self.inputs.cycle}",
             "source": f"halfshaft {self.inputs.version}, {self.inputs.via}, {self.inputs.mode}, steps of {self.inputs.dt:g} s",
-            "result": json.dumps(self._plain()),
         }
-        if self.origin is not None:
-            attributes["history"] = f"{self.origin.date}: made on {self.origin.machine}"
-        return xr.Dataset(series, coords={"time": time}, attrs=attributes)
+        if self.made is not None:
+            attributes["history"] = f"{self.made.date}: made on {self.made.machine}"
+        return xr.Dataset(series, {"time": time}, attributes)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return all time series as a table, a column for each output, its index the end of each step [s]; units are SI."""
+        return self.dataset.to_dataframe()
+
+    def save_csv(self, path: str | Path) -> None:
+        """Write all time series to a CSV file, whole or not at all; titles end with the unit in brackets.
+
+        Raises
+        ------
+        InputError
+            If the run kept no time series, or the file cannot be written.
+
+        """
+        table = self.to_pandas()
+        table.columns = [f"{d.name} [{d.unit}]" for d in self.outputs]
+        table.index.name = "time [s]"
+        with written_whole(path) as part:
+            table.to_csv(part)
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -268,7 +302,7 @@ class Result:
 
         """
         # HDF5 does not take a full disk well, so the file is made in memory.
-        content = self.dataset.to_netcdf(engine="h5netcdf")
+        content = self.dataset.assign_attrs(result=json.dumps(self._plain())).to_netcdf(engine="h5netcdf")
         with written_whole(path) as part:
             part.write_bytes(content)
         return Path(path)

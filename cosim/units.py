@@ -15,6 +15,8 @@ L_PER_GALLON = 3.785411784
 M_PER_MILE = 1609.344
 M_PER_FOOT = 0.3048
 WH_PER_GALLON = 33705.0
+KG_PER_POUND = 0.45359237
+N_PER_POUND = KG_PER_POUND * 9.80665
 
 
 class Unit(NamedTuple):
@@ -23,6 +25,36 @@ class Unit(NamedTuple):
     name: str
     of: Callable[[float], float]
     digits: int
+
+
+class Edge(NamedTuple):
+    """How a reader sees numbers of an SI unit: the unit, and factor and offset to it."""
+
+    name: str
+    factor: float
+    offset: float = 0.0
+
+
+_ALWAYS = {"W": Edge("kW", 1e-3), "J": Edge("Wh", 1 / 3600)}
+#: What is not named here is shown as it is.
+EDGES: Mapping[Units, Mapping[str, Edge]] = {
+    "metric": {**_ALWAYS, "m/s": Edge("km/h", 3.6), "K": Edge("\u00b0C", 1.0, -273.15)},
+    "us": {
+        **_ALWAYS,
+        "m/s": Edge("mph", 3600 / M_PER_MILE),
+        "K": Edge("\u00b0F", 1.8, -459.67),
+        "m": Edge("ft", 1 / M_PER_FOOT),
+        "m/s^2": Edge("ft/s^2", 1 / M_PER_FOOT),
+        "kg": Edge("lb", 1 / KG_PER_POUND),
+        "N": Edge("lbf", 1 / N_PER_POUND),
+        "N.m": Edge("lbf ft", 1 / N_PER_POUND / M_PER_FOOT),
+    },
+}
+
+
+def edge(unit: str, units: Units = "metric") -> Edge:
+    """Return how a reader sees an SI unit."""
+    return EDGES[units].get(unit, Edge(unit, 1.0))
 
 
 def mpg(L_per_100km: float) -> float:
@@ -39,6 +71,9 @@ _BOTH = {
     "energy": Unit("kWh", lambda J: J / 3.6e6, 3),
     "small energy": Unit("Wh", lambda J: J / 3600, 1),
     "power": Unit("kW", lambda W: W / 1e3, 1),
+    "time": Unit("s", lambda s: s, 1),
+    "share": Unit("%", lambda x: 100 * x, 2),
+    "equivalent": Unit("MPGe", lambda x: x, 1),
 }
 SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
     "metric": {
@@ -47,6 +82,7 @@ SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
         "range": Unit("km", lambda m: m / 1e3, 0),
         "way": Unit("m", lambda m: m, 1),
         "speed": Unit("km/h", lambda v: v * 3.6, 2),
+        "acceleration": Unit("m/s^2", lambda a: a, 3),
         "volume": Unit("L", lambda L: L, 4),
         "economy": Unit("L/100 km", lambda x: x, 3),
         "consumption": Unit("Wh/km", lambda x: x, 1),
@@ -57,6 +93,7 @@ SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
         "range": Unit("mi", lambda m: m / M_PER_MILE, 0),
         "way": Unit("ft", lambda m: m / M_PER_FOOT, 1),
         "speed": Unit("mph", lambda v: v * 3600 / M_PER_MILE, 2),
+        "acceleration": Unit("ft/s^2", lambda a: a / M_PER_FOOT, 3),
         "volume": Unit("gal", lambda L: L / L_PER_GALLON, 4),
         "economy": Unit("mpg", mpg, 2),
         "consumption": Unit("Wh/mi", lambda x: x * M_PER_MILE / 1e3, 1),
@@ -64,7 +101,7 @@ SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
 }  # fmt: skip
 
 
-def shown(quantity: str, value: float | None, units: Units = "metric", digits: int | None = None) -> str:
+def shown(quantity: str, value: float | None, units: Units = "metric", digits: int | None = None, form: str = "") -> str:
     """Return a value with its unit, or a dash where there is none.
 
     Parameters
@@ -77,9 +114,11 @@ def shown(quantity: str, value: float | None, units: Units = "metric", digits: i
         The system to show it in.
     digits
         Digits behind the point, if not those of the quantity.
+    form
+        A format in place of them, such as ``.5g``.
 
     """
     unit = SYSTEMS[units][quantity]
     if value is None or (value == 0 and unit.of is mpg):
         return "-"
-    return f"{unit.of(value):.{unit.digits if digits is None else digits}f} {unit.name}"
+    return f"{unit.of(value):{form or f'.{unit.digits if digits is None else digits}f'}} {unit.name}"

@@ -14,7 +14,8 @@ parameter is not a number, ``hs_step`` when anything is not (minima and maxima w
 
 The C is written from the expression graph, one line a node, in the order and with the operations of CasADi's virtual
 machine, so both give the same bits as long as the compiler does not contract (``-ffp-contract=off``).  Equal nodes are
-computed once; tables with an axis in common share its search.
+computed once; tables with an axis in common share its search.  A table that counts on one side of a choice only is looked up
+where that side is taken.
 """
 
 from __future__ import annotations
@@ -63,6 +64,8 @@ _KEEP_FLAG = (ca.OP_SQ, ca.OP_FMAX)
 _ZERO = f"({(0.0).hex()})"
 #: Names of values in the lines that are written.
 _NAME = re.compile(r"\b[ct]\d+\b")
+#: A choice, or a second condition that counts only where the first holds.
+_CHOICE = re.compile(r"(\S+) (?:\?|&&) (\S+?)(?: : (\S+))?;")
 
 
 class _Writer:
@@ -189,7 +192,7 @@ def step_code(step: Step) -> str:
     starter = _Writer({"p": p}, step.tables, axes)
     first_names = starter.write(step.start.call([p])[0])
 
-    lines = _used(writer.lines, [*next_names, *output_names])
+    lines = _guarded(_used(writer.lines, [*next_names, *output_names]), [*next_names, *output_names])
     found = set(_NAME.findall(" ".join([*lines, *next_names, *output_names])))
     kept = [name for name, only_p in writer.only_p.items() if only_p and name in found]
     unpack = [f"  const {'int' if n in writer.flags else 'double'} {n} = q[{i}];" for i, n in enumerate(kept)]
@@ -228,6 +231,51 @@ def _stored_at_once(lines: Sequence[str], stores: Sequence[str]) -> list[str]:
     for line in lines:
         ordered += [line, *waiting.pop(line.partition(" = ")[0].rpartition(" ")[2], [])]
     return [*ordered, *(store for rest in waiting.values() for store in rest)]
+
+
+def _guarded(lines: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return the lines with each table that counts on one side of a choice only, and what it alone needs, in an ``if``."""
+    guards: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
+    for line in reversed(lines):
+        left, _, value = line.partition(" = ")
+        here = guards[left.rpartition(" ")[2]]
+        if choice := _CHOICE.fullmatch(value):
+            condition, then, otherwise = choice.groups()
+            uses = [(condition, here), (then, (*here, condition)), (otherwise or "", (*here, f"!{condition}"))]
+        else:
+            uses = [(value, here)]
+        for text, guard in uses:
+            for name in _NAME.findall(text):
+                guards[name] = _common(guards.get(name, guard), guard)
+    waiting = {line.partition(" = ")[0].rpartition(" ")[2]: line for line in lines}
+    worth = {guards[n][:i] for n, line in waiting.items() if "_find(" in line or "_at(" in line for i in range(len(guards[n]) + 1)}
+    declared, written, now = list[str](), list[str](), tuple[str, ...]()
+    stack = list(waiting)[::-1]
+    while stack:
+        name = stack.pop()
+        if name not in waiting:
+            continue
+        left, _, value = waiting[name].partition(" = ")
+        guard = next((g for i in range(len(guards[name]), 0, -1) if (g := guards[name][:i]) in worth), ())
+        # What decides is written before what it decides on.
+        if before := [other for other in _NAME.findall(" ".join((*guard, value))) if other in waiting]:
+            stack += [name, *before]
+            continue
+        del waiting[name]
+        shared = len(_common(now, guard))
+        written += ["  }"] * (len(now) - shared) + [f"  if ({g}) {{" for g in guard[shared:]]
+        now = guard
+        if guard:
+            declared.append(f"{left.replace('const ', '')};")
+            left = f"  {name}"
+        written.append(f"{left} = {value}")
+    return [*declared, *written, *["  }"] * len(now)]
+
+
+def _common(one: tuple[str, ...], other: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what two begin with."""
+    n = next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+    return one[:n]
 
 
 def _used(lines: Sequence[str], names: Sequence[str]) -> list[str]:

@@ -107,7 +107,7 @@ def _call(command: list[str], folder: str | None = None) -> subprocess.Completed
         raise CompileError(f"the C compiler {command[0]} cannot be run: {error.strerror or error}") from error
 
 
-def shared_library(source: str, name: str, headers: Mapping[str, str] | None = None) -> Path:
+def shared_library(source: str, name: str, headers: Mapping[str, str] | None = None, flags: tuple[str, ...] = ()) -> Path:
     """Return a shared library made from C that can be loaded, compiled only if the cache does not have it.
 
     Symbols are hidden unless the source exports them.
@@ -120,6 +120,8 @@ def shared_library(source: str, name: str, headers: Mapping[str, str] | None = N
         First part of the file's name.
     headers
         Files that the source includes, text by name.
+    flags
+        For the compiler, after those that it always gets.
 
     Raises
     ------
@@ -128,7 +130,7 @@ def shared_library(source: str, name: str, headers: Mapping[str, str] | None = N
 
     """
     files = {f"{name}.c": source, **(headers or {})}
-    stem = f"{name}-{_hash(sysconfig.get_platform(), *FLAGS, *(text for item in sorted(files.items()) for text in item))}"
+    stem = f"{name}-{_hash(sysconfig.get_platform(), *FLAGS, *flags, *(text for item in sorted(files.items()) for text in item))}"
     folder = Path(os.environ.get("HALFSHAFT_CACHE") or platformdirs.user_cache_dir("halfshaft"))
     try:
         compiler = find_compiler()
@@ -141,13 +143,13 @@ def shared_library(source: str, name: str, headers: Mapping[str, str] | None = N
         raise
     stem = f"{stem}-{_hash(compiler.identity, *compiler.flags)}"
     try:
-        return _kept(folder, stem) or _compiled(compiler, files, name, folder, stem)
+        return _kept(folder, stem) or _compiled(compiler, files, name, folder, stem, flags)
     except OSError as error:
         text = f"the cache folder {folder} cannot be used ({error}): each program run compiles anew; set HALFSHAFT_CACHE to another folder"
         _warn_once(folder, text)
     try:
         folder = _private_folder()
-        return _kept(folder, stem) or _compiled(compiler, files, name, folder, stem)
+        return _kept(folder, stem) or _compiled(compiler, files, name, folder, stem, flags)
     except OSError as error:
         raise CompileError(f"no place to compile {name} and load it: {error}") from error
 
@@ -187,14 +189,14 @@ def _loaded(library: Path) -> Path:
     return library
 
 
-def _compiled(compiler: Compiler, files: Mapping[str, str], name: str, folder: Path, stem: str) -> Path:
+def _compiled(compiler: Compiler, files: Mapping[str, str], name: str, folder: Path, stem: str, flags: tuple[str, ...]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".build-", dir=folder) as build:
         for file_name, text in files.items():
             Path(build, file_name).write_text(text, encoding="utf-8", newline="\n")
         # File names without folders: nothing of this machine gets into the library.
         made = Path(build, f"{name}{SUFFIX}")
-        done = _call([*compiler.command, *compiler.flags, "-o", made.name, f"{name}.c", "-lm"], build)
+        done = _call([*compiler.command, *compiler.flags, *flags, "-o", made.name, f"{name}.c", "-lm"], build)
         if done.returncode or not made.is_file():
             said = (done.stderr or done.stdout).strip().splitlines()[:10]
             how = f"signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"

@@ -12,7 +12,7 @@ constants of the build, brought in by `functions`: as interpolants, or as compil
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -130,6 +130,14 @@ class Step:
     #: Whether each of the relations, given with its part, is broken by a parameter vector.
     broken: ca.Function
     relations: tuple[tuple[str, Relation], ...]
+
+    def only(self, outputs: Collection[str]) -> Step:
+        """Return the step with some of its outputs alone, in their order; what nobody asks for is not computed."""
+        kept = [i for i, d in enumerate(self.outputs) if d.name in outputs]
+        state, request, parameters = (ca.SX.sym(name, self.function.size1_in(i)) for i, name in enumerate(("x", "u", "p")))
+        following, shown = self.function.call([state, request, parameters])
+        function = ca.Function(self.function.name(), [state, request, parameters], [following, shown[kept]])
+        return replace(self, function=function, outputs=tuple(self.outputs[i] for i in kept))
 
     @cached_property
     def output_index(self) -> dict[str, int]:

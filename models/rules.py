@@ -7,8 +7,9 @@ from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias, cast
 
-from halfshaft.library.base.parameters import Parameters, param
-from halfshaft.library.base.tables import Table
+import numpy as np
+
+from halfshaft.library.base.parameters import Parameters, each, param, plain
 from halfshaft.library.chassis.wheel import AxleParameters
 from halfshaft.library.control.series import genset_locus
 from halfshaft.library.driveline.final_drive import FinalDriveParameters
@@ -65,7 +66,7 @@ class SumOfParts(Rule):
     def __call__(self, sets: Sets) -> float:
         """Return the mass [kg]."""
         m = self.rest + sum(p.weight for p in sets.values())
-        return round(m / self.whole) * self.whole if self.whole else m
+        return plain(np.rint(m / self.whole) * self.whole) if self.whole else m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +76,11 @@ class GensetLocus(Rule):
     name = "genset-locus"
     needs = ("engine", "generator")
 
-    def __call__(self, sets: Sets) -> Table:
+    def __call__(self, sets: Sets) -> Any:
         """Return the speed over engine power."""
-        return _locus(cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"]))
+        engine, generator = cast(EngineParameters, sets["engine"]), cast(GeneratorParameters, sets["generator"])
+        factors = (generator.speed_scale, generator.torque_scale, generator.overtorque)
+        return each(_locus, (engine.fuel, engine.tau_max), (generator.P_electric, generator.tau_max), *factors)
 
 
 @dataclass(frozen=True, kw_only=True)

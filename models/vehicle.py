@@ -13,20 +13,29 @@ from functools import cached_property, lru_cache
 from importlib.resources.abc import Traversable
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.library.base.parameters import DESCRIBED, Parameters, Rated, Spec, described, numbers, spec_of, tables
+from halfshaft.library.base.parameters import (
+    DESCRIBED,
+    Parameters,
+    Rated,
+    Spec,
+    array_problems,
+    described,
+    outside,
+    spec_of,
+)
 from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
 from halfshaft.library.engine.engine import EngineParameters
-from halfshaft.library.files.component_file import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
+from halfshaft.library.files.component_file import LARGEST, SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
 from halfshaft.library.files.notebook import Grid, card
-from halfshaft.library.files.texts import cleaned, name_problem
+from halfshaft.library.files.texts import cleaned, name_problem, read_text
 from halfshaft.library.files.toml import inline, quantity, toml_text, written
 from halfshaft.models.model import Model
 from halfshaft.models.powertrain import Powertrain, powertrains, vehicle_files
@@ -95,14 +104,14 @@ class Vehicle:
         return frozenset(self.given)
 
     @cached_property
-    def values(self) -> dict[str, float]:
+    def values(self) -> dict[str, Any]:
         """All numbers by ``role.parameter``, the entries of a row by ``role.parameter_1`` and so on."""
-        return {f"{role}.{name}": value for role, p in self.parameters.items() for name, _, value in numbers(p)}
+        return {f"{role}.{name}": value for role, p in self.parameters.items() for name, value in p.values.items()}
 
     @property
     def mass(self) -> float:
         """Test mass [kg]."""
-        return self.values[self.tags.the("vehicle mass")]
+        return float(self.values[self.tags.the("vehicle mass")])
 
     @cached_property
     def tags(self) -> Tags:
@@ -112,7 +121,12 @@ class Vehicle:
     @cached_property
     def specs(self) -> dict[str, Spec]:
         """Unit, meaning and bounds of all numbers."""
-        return _specs(self.parts)
+        return dict(_known(tuple(self.parts.items())).specs)
+
+    @cached_property
+    def rated(self) -> dict[str, Rated]:
+        """What can be set in place of factors, by ``role.rating``."""
+        return dict(_known(tuple(self.parts.items())).rated)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -128,10 +142,7 @@ class Vehicle:
         """What is built into the code of the vehicle: its parts and tables, not its numbers."""
         return (
             self.powertrain,
-            *(
-                (role, type(part), tuple(name for name, *_ in numbers(part.p)), tuple((f, t.key) for f, t in tables(part.p)))
-                for role, part in self.components().items()
-            ),
+            *((role, part.component, *self.parameters[role].structure) for role, part in self.parts.items()),
         )
 
     def components(self) -> dict[str, Component]:
@@ -145,6 +156,25 @@ class Vehicle:
         given = _numbers(reader, self.parts, plain, "", plain=True)
         reader.finish(f"vehicle '{self.name}'")
         return replace(self, given={**_without_rivals(self.parts, self.given, given), **given}, source=_source_on(self))
+
+    def with_arrays(self, values: Mapping[str, Any]) -> Vehicle:
+        """Return a vehicle that stands for many, as `with_values`, but that values may be arrays, with an entry for each [SI].
+
+        Its numbers are arrays where the vehicles differ; only a batch can run it.
+        """
+        reader, specs = Reader(), self.specs | {name: rated.spec for name, rated in self.rated.items()}
+        arrays: dict[str, Any] = {name: x for name, x in values.items() if isinstance(x, np.ndarray)}
+        # Names are checked with numbers that are allowed in place of the arrays; these then, as a whole.
+        given = _numbers(reader, self.parts, {**values, **{name: self.values.get(name, 1.0) for name in arrays}}, "", plain=True)
+        known = not reader.problems
+        reader.problems += [problem for name, x in arrays.items() if name in specs for problem in outside(name, specs[name], x)]
+        if known:
+            with np.errstate(all="ignore"):
+                fleet = replace(self, given=_without_rivals(self.parts, self.given, given) | given | arrays, source=_source_on(self))
+                reader.problems += [f"{role}.{problem}" for role, p in fleet.parameters.items() for problem in array_problems(p)]
+        reader.problems = list(dict.fromkeys(reader.problems))
+        reader.finish(f"vehicle '{self.name}'")
+        return fleet
 
     def with_parts(self, parts: Mapping[str, str | Path | ComponentFile]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library, paths of files, or components that were read before."""
@@ -170,7 +200,7 @@ class Vehicle:
         for target, rule in self.rules.items():
             values = {f.name: getattr(rule, f.name) for f in fields(rule)}
             derive[target] = inline({"rule": rule.name, **written(type(rule), values)})
-        specs = self.specs | {name: rated.spec for name, rated in _rated(self.parts).items()}
+        specs = self.specs | {name: rated.spec for name, rated in _known(tuple(self.parts.items())).rated.items()}
         sections: dict[str, Mapping[str, Any]] = {
             "parts": {role: part.place(folder) for role, part in self.parts.items()},
             "set": {name: quantity(value, specs[name]) for name, value in self.given.items()},
@@ -207,25 +237,38 @@ def _tags(kinds: tuple[tuple[str, type[Parameters]], ...]) -> Tags:
     return Tags({name: tag for name, tag in found if tag})
 
 
-def _specs(parts: Parts) -> dict[str, Spec]:
+class _Known(NamedTuple):
+    """What of some parts can be set by name: numbers, ratings in place of factors; and what are maps."""
+
+    specs: Mapping[str, Spec]
+    rated: Mapping[str, Rated]
+    maps: frozenset[str]
+
+
+# Studies set numbers of the same parts again and again.
+@lru_cache(maxsize=64)
+def _known(parts: tuple[tuple[str, ComponentFile], ...]) -> _Known:
     specs = {}
-    for role, part in parts.items():
+    for role, part in parts:
         for f in fields(part.component.parameters):
             spec = spec_of(f)
             row = part.values.get(f.name, () if f.default is MISSING else f.default) if spec.row else ()
             names = [f"{f.name}_{i}" for i in range(1, len(row) + 1)] if spec.row else [] if spec.axes else [f.name]
             specs.update({f"{role}.{name}": spec for name in names})
-    return specs
+    rated = {f"{role}.{rated.name}": rated for role, part in parts for rated in part.component.parameters.rated}
+    maps = frozenset(f"{role}.{f.name}" for role, part in parts for f in fields(part.component.parameters) if spec_of(f).axes)
+    return _Known(specs, rated, maps)
 
 
-def _rated(parts: Parts) -> dict[str, Rated]:
-    """Return what can be typed in place of factors, by ``role.rating``."""
-    return {f"{role}.{rated.name}": rated for role, part in parts.items() for rated in part.component.parameters.rated}
+@lru_cache(maxsize=256)
+def _built(part: ComponentFile, values: tuple[tuple[str, Any], ...], typed: tuple[tuple[str, float], ...]) -> Parameters:
+    """Return the parameter set of a part with numbers set; the same one again for the same numbers."""
+    return part.build(**dict(values)).rescaled(dict(typed))
 
 
 def _without_rivals(parts: Parts, given: Mapping[str, float], new: Mapping[str, float]) -> dict[str, float]:
     """Return what was given but for ratings and factors that new ones stand for."""
-    rated = _rated(parts)
+    rated = _known(tuple(parts.items())).rated
 
     def factor(name: str) -> str:
         return f"{name.partition('.')[0]}.{rated[name].scale}" if name in rated else name
@@ -236,9 +279,8 @@ def _without_rivals(parts: Parts, given: Mapping[str, float], new: Mapping[str, 
 
 def _numbers(reader: Reader, parts: Parts, values: Mapping[str, Any], where: str, *, plain: bool = False) -> dict[str, float]:
     """Return numbers by ``role.parameter`` in SI."""
-    rated = _rated(parts)
-    specs = _specs(parts) | {name: r.spec for name, r in rated.items()}
-    maps = {f"{role}.{f.name}" for role, part in parts.items() for f in fields(part.component.parameters) if spec_of(f).axes}
+    known, rated, maps = _known(tuple(parts.items()))
+    specs = {**known, **{name: r.spec for name, r in rated.items()}}
     for name in (n for n in values if n in maps):
         role = name.partition(".")[0]
         factors = " or ".join(n for n in specs if n.startswith(f"{role}.") and n.endswith("_scale"))
@@ -358,7 +400,8 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
     if str(path) in above or len(above) > MOST_BASES:
         raise InputError(str(path), ["base leads back to the vehicle itself"])
     reader = Reader()
-    data = reader.toml(path, ["vehicle"], {"powertrain": str, "base": str, "parts": dict, "set": dict, "derive": dict})
+    extra = {"powertrain": str, "base": str, "parts": dict, "set": dict, "derive": dict}
+    data = reader.toml(str(path), read_text(path, LARGEST), ["vehicle"], extra)
     folder = path.parent if isinstance(path, Path) else path
     base = None
     if "base" in data:
@@ -400,7 +443,7 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
     problems: list[str] = []
     values = {role: dict(part.values) for role, part in vehicle.parts.items()}
     typed: dict[str, dict[str, float]] = {role: {} for role in vehicle.parts}
-    ratings = _rated(vehicle.parts)
+    ratings = _known(tuple(vehicle.parts.items())).rated
     for name, x in vehicle.given.items():
         role, _, parameter = name.partition(".")
         if name in ratings:
@@ -432,7 +475,16 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
 
     def build(role: str) -> None:
         try:
-            sets[role] = vehicle.parts[role].build(**values[role]).rescaled(typed[role])
+            part = vehicle.parts[role]
+            own = tuple((name, x) for name, x in values[role].items() if x is not part.values.get(name))
+            key = part, own, tuple(typed[role].items())
+            try:
+                hash(key)
+            except TypeError:
+                # Arrays, which stand for many vehicles.
+                sets[role] = _built.__wrapped__(*key)
+            else:
+                sets[role] = _built(*key)
         except InputError as e:
             problems.extend(f"{role}: {p}" for p in e.problems)
 

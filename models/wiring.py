@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple, get_args
 
 from halfshaft.library.base.component import Booking, Component, Face, From, arguments
@@ -36,6 +36,13 @@ class Each(NamedTuple):
     keys: tuple[Key, ...]
 
 
+class Tried(NamedTuple):
+    """What signals would be, were something else asked at a port: the place of what is asked, and those of the signals."""
+
+    asked: Key
+    signals: Mapping[str, Key]
+
+
 class Unread(NamedTuple):
     """Why a signal cannot be read; of no matter where no face takes it."""
 
@@ -55,7 +62,7 @@ class Bound:
 
     part: str
     face: Face
-    takes: Mapping[str, Key | Each]
+    takes: Mapping[str, Key | Each | Tried]
     gives: Mapping[str, Key]
 
     def __str__(self) -> str:
@@ -65,6 +72,8 @@ class Bound:
     def needs(self) -> Iterator[tuple[str, Key]]:
         """Yield every name that the face takes with its place."""
         for name, place in self.takes.items():
+            if isinstance(place, Tried):
+                continue  # What a trial needs follows from what is asked in it.
             yield from ((name, key) for key in (place.keys if isinstance(place, Each) else (place,)))
 
 
@@ -105,9 +114,9 @@ class Wiring:
         found |= {s.name: Published(("state", name, s.name), s.unit) for s in part.states if s.signal}
         return found | {f"next_{s.name}": Published(("next", name, s.name), s.unit) for s in part.states if s.signal}
 
-    def _reads(self, name: str, part: Component, problems: list[str]) -> dict[str, Key | Each | Unread | None]:
+    def _reads(self, name: str, part: Component, problems: list[str]) -> dict[str, Key | Each | Tried | Unread | None]:
         """Return the place of everything that a part reads of others; None of what may be absent and is."""
-        found: dict[str, Key | Each | Unread | None] = {}
+        found: dict[str, Key | Each | Tried | Unread | None] = {}
         bound = self.model.bindings.get(name, {})
         named = {source.owner for source in part.reads}
         problems += [
@@ -131,10 +140,17 @@ class Wiring:
                 found |= {signal: Each(tuple(self.published[owner][signal].key for owner in owners)) for signal in source.signals}
             elif owners:
                 (owner,) = owners
-                for signal, unit in source.signals.items():
-                    found[signal], given = self.published[owner][signal]
-                    if given != unit:
-                        problems.append(f"{name} reads the signal {signal} in {unit}, {owner} publishes it in {given}")
+                published = {signal: self.published[owner][signal] for signal in source.signals}
+                problems += [
+                    f"{name} reads the signal {signal} in {source.signals[signal]}, {owner} publishes it in {given}"
+                    for signal, (_, given) in published.items()
+                    if given != source.signals[signal]
+                ]
+                places = {signal: key for signal, (key, _) in published.items()}
+                if source.tried:
+                    found[source.owner] = Tried(("required", *self._ends[name, source.along[0]]), places)
+                else:
+                    found |= places
                 if source.interface:
                     found[source.owner] = ("part", owner, "")
             else:
@@ -156,6 +172,11 @@ class Wiring:
                 why = f"does not publish {', '.join(missing)}" if missing else "is no such part"
                 problems.append(f"{name} reads the {what} from {bound}, which {why}")
             return [bound] if bound in fitting else []
+        if source.tried:
+            fitting = self._along(name, source, fitting)
+            if not fitting and not source.optional:
+                problems.append(f"{name} reads the {what}, but nothing behind its {source.along[0]} publishes it")
+                return []
         if source.each or len(fitting) == 1:
             return fitting
         if fitting:
@@ -265,7 +286,7 @@ class Wiring:
         return variables | states | {s.name for kind in kinds for s in kind.signals}
 
     def _bind(self, part: str, face: Face, problems: list[str]) -> Bound:
-        takes: dict[str, Key | Each] = {}
+        takes: dict[str, Key | Each | Tried] = {}
         gives: dict[str, Key] = {}
         component = self.parts[part]
         ports, laws, states, read = component.ports(), {s.name for s in component.signals}, self.states[part], self.read[part]
@@ -324,8 +345,8 @@ class Wiring:
                 problems.append(f"{part}.{face.name} gives {name}, which {type(component).__name__} does not declare")
         return Bound(part, face, takes, gives)
 
-    def evaluate(self, known: Mapping[Key, Any], wanted: Iterable[Key] | None = None) -> dict[Key, Any]:
-        """Compute all faces, or only those that `wanted` needs, from what is `known`.
+    def evaluate(self, known: Mapping[Key, Any], wanted: Iterable[Key] | None = None, within: tuple[Bound, ...] = ()) -> dict[Key, Any]:
+        """Compute all faces, or only those that `wanted` needs, from what is `known`; `within` are the faces that try it.
 
         Raises
         ------
@@ -336,8 +357,15 @@ class Wiring:
         values: dict[Key, Any] = {("part", name, ""): part for name, part in self.parts.items()} | dict(known)
         done: set[int] = set()
 
-        def value(place: Key | Each) -> Any:
+        def value(place: Key | Each | Tried, bound: Bound) -> Any:
+            if isinstance(place, Tried):
+                return partial(tried, place, bound)
             return tuple(values[key] for key in place.keys) if isinstance(place, Each) else values[place]
+
+        def tried(place: Tried, bound: Bound, asked: Any) -> dict[str, Any]:
+            # Whoever tries goes before whoever asks, so what is known by now does not depend on what is asked.
+            found = self.evaluate(values | {place.asked: asked}, place.signals.values(), (*within, bound))
+            return {signal: found[key] for signal, key in place.signals.items()}
 
         def need(key: Key, path: tuple[Bound, ...]) -> None:
             if key not in values:
@@ -351,7 +379,7 @@ class Wiring:
                 raise WiringError(self.model.name, [f"undeclared loop, a memory must break it: {loop}"])
             for _, key in bound.needs():
                 need(key, (*path, bound))
-            given = bound.face.run(**{name: value(place) for name, place in bound.takes.items()})
+            given = bound.face.run(**{name: value(place, bound) for name, place in bound.takes.items()})
             if given.keys() != bound.gives.keys():
                 lost, surplus = sorted(bound.gives.keys() - given.keys()), sorted(given.keys() - bound.gives.keys())
                 slips = [f"{bound} returns no {name}, which it declares to give" for name in lost]
@@ -363,10 +391,10 @@ class Wiring:
 
         if wanted is None:
             for bound in self.faces:
-                run(bound, ())
+                run(bound, within)
         else:
             for key in wanted:
-                need(key, ())
+                need(key, within)
         return values
 
     def start(self) -> dict[Key, Any]:
@@ -394,7 +422,7 @@ class Wiring:
         takes, optional = arguments(part.start)
         for argument in takes:
             key = self.read[name].get(argument)
-            if isinstance(key, tuple) and not isinstance(key, Each | Unread) and key[0] in ("state", "law", "part"):
+            if isinstance(key, tuple) and not isinstance(key, Each | Tried | Unread) and key[0] in ("state", "law", "part"):
                 found[argument] = key
             elif argument not in optional:
                 told = f"{name}.start reads {argument}, which is no state and no law of a part that it reads of"

@@ -21,7 +21,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from halfshaft.cosim.plot import COLOURS, EDGE, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
+from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
+from halfshaft.cosim.units import edge
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.files.writing import written_whole
 from halfshaft.studies.effects import Constraint, Kind, axes_of, kind_problems, main_effects, names_or, sobol_indices
@@ -140,7 +141,7 @@ class _Scale(NamedTuple):
 
 def _scale(x: xr.DataArray) -> _Scale:
     """Return the scale of an axis or a response."""
-    unit, factor, offset = EDGE.get(x.attrs.get("units", ""), (x.attrs.get("units", ""), 1.0, 0.0))
+    unit, factor, offset = edge(x.attrs.get("units", ""), "metric")
     told = re.split(r"[,;(]", x.attrs.get("long_name", ""))[0].strip()
     axis = str(x.name) in x.coords
     name = str(x.name) if axis and (not told or len(told) > LONGEST) else f"{told}, {x.name}" if axis else told

@@ -6,6 +6,7 @@ processor times of the one thread that works, so that other programs disturb lit
 
 from __future__ import annotations
 
+import itertools
 import os
 import statistics
 import subprocess
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 
 from halfshaft.cosim.compiled import InterpretedStep, Mode
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
+from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
 from halfshaft.fmu_build.compiler import find_compiler
 from halfshaft.library.base.errors import CompileError, SolveError
@@ -123,6 +125,7 @@ def bench(progress: Callable[[str], None] | None = None) -> dict[str, Any]:
             ("FASTSim", _fastsim),
             ("hand-written step", _twin),
             ("refined mode", _refined),
+            ("one vehicle", _around),
             ("start-up", _start),
         ):
             say(title)
@@ -261,6 +264,32 @@ def _refined() -> list[Row]:
         calls = compiled.march(samples, parameters, mode="refined").evaluations / max(len(samples.t), 1)
         note = f"{car.name}; {note}; {calls:.2f} evaluations a step; hybrid {1e6 * hybrid:.0f} us"
         rows.append(_row(f"refined over hybrid: {name}", refined / hybrid, "times", note=note))
+    return rows
+
+
+def _around() -> list[Row]:
+    """Return what goes around the march of a vehicle: setting a number, a run's own part, its dataset."""
+    cycle, samples, rows = Cycle.load("udds"), Cycle.load("udds").sampled(1.0), []
+    for name in BUILT:
+        car = Vehicle.load(name)
+        compiled, mass = stepper_of(car), car.tags.the("vehicle mass")
+        parameters = parameters_of(car, compiled.step, samples.v_start)
+        masses = itertools.count(1500)
+        change = measured(lambda car=car, mass=mass, m=masses: car.with_values({mass: next(m)})).cpu  # type: ignore[misc]
+        march = measured(lambda c=compiled, p=parameters: c.march(samples, p)).cpu  # type: ignore[misc]
+        kept, summed = (measured(lambda car=car, h=history: run(car, cycle, history=h)).cpu for history in (True, False))  # type: ignore[misc]
+        made: list[Result] = []
+
+        def remake(car: Vehicle = car, made: list[Result] = made) -> None:
+            made[:] = [run(car, cycle)]
+
+        dataset = measured(lambda made=made: made[0].dataset, prepare=remake).cpu  # type: ignore[misc]
+        rows += [
+            _row(f"{name}: setting a number", 1e6 * change, "us", "< 100", "with_values, the mass"),
+            _row(f"{name}: run besides its march", 1e6 * (kept - march), "us", "<= 60", "a warm vehicle, with history"),
+            _row(f"{name}: run without history over run with it", summed / kept, "times", "<= 1", "UDDS"),
+            _row(f"{name}: dataset", 1e3 * dataset, "ms", "< 1", f"{len(compiled.step.outputs)} outputs over UDDS"),
+        ]
     return rows
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from halfshaft import Cycle, Vehicle
+from halfshaft.cosim.cycle import Cycle
+from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.folder import MANIFEST
 from halfshaft.studies.sweep import sweep
 from halfshaft.studies.task import Drive
@@ -17,7 +18,8 @@ KILLS = 10
 AXES = {"body.m": "1000..1600:50", "motor": "ac-75kw,ac-83kw", "body.c_d": "0.2..0.4:5"}
 SCRIPT = """
 import sys
-from halfshaft import Cycle, Vehicle
+from halfshaft.cosim.cycle import Cycle
+from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies import folder, sweep
 from halfshaft.studies.task import Drive
 

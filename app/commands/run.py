@@ -22,6 +22,7 @@ from halfshaft.cosim.ways import Mode, Via
       halfshaft run small-car-series --cycle us06
       halfshaft run small-car-electric --cycle udds --soc 0.9 --plot udds.png
       halfshaft run small-car-electric --cycle udds --mass 1500 --units us
+      halfshaft run small-car-power-split --cycle us06 --flows flows.png --points points.png
       halfshaft run my-car.toml --cycle trip.csv --grade road.csv --out trip.nc
       halfshaft run my-car.toml --cycle us06 --set engine.J="0.2 kg m^2" --json
     """,
@@ -38,7 +39,10 @@ def _run(
     values: Values = None,
     soc: Soc = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.nc", help="Write all time series to a netCDF file.")] = None,
+    csv: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write all time series to a CSV file.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the run (.png, .svg, .pdf).")] = None,
+    flows: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw where the energy flowed.")] = None,
+    points: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the operating points of machines on their maps.")] = None,
     units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
@@ -56,24 +60,33 @@ def _run(
 
         checks.problem(*fmu_problems(3, trace, dt))
     checks.target(out, "--out")
-    checks.target(plot, "--plot")
-    if plot is not None:
-        from halfshaft.cosim.plot import plot_problems  # matplotlib takes a quarter of a second
-
-        checks.problem(*(f"--plot {plot}: {p}" for p in plot_problems(plot)))
+    checks.target(csv, "--csv")
+    for option, picture in (("--plot", plot), ("--flows", flows), ("--points", points)):
+        checks.picture(picture, option)
     car, trace = checks.done(car), checks.done(trace)
     with busy(f"{VIA[via]}: {car.name} over {trace.name}"):
         result = run(car, trace, via=via, dt=dt, mode=mode)
     if out is not None:
         with busy(f"writing {out}"):
             result.save(out)
+    if csv is not None:
+        with busy(f"writing {csv}"):
+            result.save_csv(csv)
     if plot is not None:
         from halfshaft.cosim.plot import plot_run
 
         with busy(f"drawing {plot}"):
-            plot_run(result, path=plot)
+            plot_run(result, units=units, path=plot)
+    if flows is not None:
+        from halfshaft.cosim.flow_plot import plot_flows
+
+        plot_flows(result, path=flows)
+    if points is not None:
+        from halfshaft.cosim.points import plot_points
+
+        plot_points(result, units=units, path=points)
     if as_json:
         print_run_json(result)
         return
     print_run(result, units)
-    print_written(out, plot)
+    print_written(out, csv, plot, flows, points)

@@ -106,6 +106,9 @@ class From:
         Whether there may be no such part; the arguments then have their defaults.
     each
         Whether to read all parts that publish the signals; the arguments are tuples, empty if there is none.
+    tried
+        Whether to read what the signals would be.  The argument has the owner's name and is a function: it takes what might be asked
+        at the reader's own port toward the source that `along` names, and gives the signals by name.  Only parts behind that port fit.
 
     """
 
@@ -118,15 +121,17 @@ class From:
         along: tuple[str, ...] = (),
         optional: bool = False,
         each: bool = False,
+        tried: bool = False,
         **signals: str,
     ) -> None:
-        self.owner, self.interface, self.along, self.optional, self.each = owner, interface, along, optional, each
+        self.owner, self.interface, self.along, self.optional = owner, interface, along, optional
+        self.each, self.tried = each, tried
         self.signals: Mapping[str, str] = signals
 
     @property
     def arguments(self) -> tuple[str, ...]:
         """Names of the arguments that it fills."""
-        return (self.owner,) if self.interface else tuple(self.signals)
+        return (self.owner,) if self.interface or self.tried else tuple(self.signals)
 
 
 #: What a component with a rotor books besides its losses.

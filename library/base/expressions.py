@@ -45,4 +45,5 @@ def lifted(efficiency_scale: Any, table: Any, pairs: Callable[[Any, Any], list[t
     if len(table.points) > 2 or (isinstance(efficiency_scale, int | float) and efficiency_scale <= 1):
         return False
     both = pairs(reduce(np.multiply.outer, table.points), table.values)
-    return efficiency_scale * max(float(np.max(out[into > 0] / into[into > 0], initial=0.0)) for out, into in both) > one
+    above = efficiency_scale * max(float(np.max(out[into > 0] / into[into > 0], initial=0.0)) for out, into in both) > one
+    return above & (efficiency_scale > 1) if isinstance(efficiency_scale, np.ndarray) else above

@@ -2,15 +2,16 @@
 
 A parameter set is a frozen dataclass whose fields are made by `param` (a number), `params` (a row of numbers, one
 per gear for instance) and `table` (a map).  Numbers are SI.  The same class serves a component with numbers, and the
-symbolic component from which the step is made: the assembler replaces each number by a symbol (`replace`), and bounds
-are checked for numbers only.
+symbolic component from which the step is made: the assembler replaces each number by a symbol (`replace`).  It serves many
+components at once too: a number may be an array, with an entry for each of them.  Bounds are checked for numbers only;
+`array_problems` looks at arrays.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -67,6 +68,14 @@ class Spec(NamedTuple):
             and (self.lt is None or value < self.lt)
             and (self.le is None or value <= self.le)
         )
+
+    def outside(self, values: Any) -> Any:
+        """Return which entries of an array lie outside the bounds."""
+        inside = np.isfinite(values)
+        for compared, bound in ((np.greater, self.gt), (np.greater_equal, self.ge), (np.less, self.lt), (np.less_equal, self.le)):
+            if bound is not None:
+                inside &= compared(values, bound)
+        return ~inside
 
 
 def param(unit: str, doc: str, default: Any = MISSING, **bounds: Any) -> Any:
@@ -136,9 +145,11 @@ class Parameters:
                 outside = "clipped" if spec.clip else "extrapolated"
                 problems.append(f"{f.name} has {len(value.points)} axes, must have {len(spec.axes)} and be {outside} outside of them")
             if isinstance(value, Table):
-                numbers: list[Any] = list(value.values.flat)
+                # The ends tell for all, and are not numbers where one is none.
+                ends: tuple[float, float] = value.values.min(), value.values.max()
+                numbers: Iterable[Any] = () if spec.holds(ends[0]) and spec.holds(ends[1]) else value.values.flat
             else:
-                numbers = list(value) if spec.row else [value]
+                numbers = value if spec.row else (value,)
             bad = [x for x in numbers if isinstance(x, int | float) and not spec.holds(x)]
             if bad:
                 problems.append(f"{f.name} = {spec.shown(bad[0])}, must be {spec.allowed() or 'a finite number'}")
@@ -153,13 +164,23 @@ class Parameters:
     @property
     def weight(self) -> float:
         """Mass of the part [kg]: that of its figures times its factors on size; 0 for what is weighed with the vehicle."""
-        size = math.prod(float(getattr(self, name, 1.0)) for name in ("torque_scale", "speed_scale", "power_scale"))
-        return float(getattr(self, "mass", 0.0)) * size
+        size = math.prod(getattr(self, name, 1.0) for name in ("torque_scale", "speed_scale", "power_scale"))
+        return plain(getattr(self, "mass", 0.0) * size)
 
     def rescaled(self, typed: Mapping[str, float]) -> Parameters:
         """Return the set with the ratings that were typed."""
         factors = {r.scale: getattr(self, r.scale) * typed[r.name] / r.of(self) for r in self.rated if r.name in typed}
         return replace(self, **factors) if factors else self
+
+    @cached_property
+    def structure(self) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
+        """Names of the numbers, and the content of the tables by name: what is built into code."""
+        return tuple(name for name, *_ in all_numbers(self)), tuple((name, t.key) for name, t in tables(self))
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        """The numbers by name, the entries of a row as ``name_1``, ``name_2`` and so on."""
+        return {name: plain(value) for name, _, value in all_numbers(self)}
 
     def ratings(self) -> Mapping[str, float]:
         """Return what the part is rated at: ``energy`` of a store [J], ``traction power`` of what drives [W]."""
@@ -196,13 +217,17 @@ def spec_of(f: Field[Any]) -> Spec:
 
 def numbers(p: Parameters) -> Iterator[tuple[str, Spec, float]]:
     """Yield name, declaration and value of every number; rows give ``name_1``, ``name_2`` and so on."""
+    yield from ((name, spec, float(x)) for name, spec, x in all_numbers(p))
+
+
+def all_numbers(p: Parameters) -> Iterator[tuple[str, Spec, Any]]:
+    """Yield the same, the arrays among them too."""
     for f in fields(p):
         spec, value = spec_of(f), getattr(p, f.name)
         if spec.row:
-            for i, x in enumerate(value, 1):
-                yield f"{f.name}_{i}", spec, float(x)
+            yield from ((f"{f.name}_{i}", spec, x) for i, x in enumerate(value, 1))
         elif not spec.axes:
-            yield f.name, spec, float(value)
+            yield f.name, spec, value
 
 
 def tables(p: Parameters) -> Iterator[tuple[str, Table]]:
@@ -213,6 +238,47 @@ def tables(p: Parameters) -> Iterator[tuple[str, Table]]:
     for name, followed in vars(type(p)).items():
         if isinstance(followed, cached_property):
             yield name, getattr(p, name)
+
+
+def plain(x: Any) -> float:
+    """Return a number as Python's own, and an array, which stands for many, as it is."""
+    return x if isinstance(x, np.ndarray) else float(x)  # type: ignore[return-value]
+
+
+def each(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return a function of numbers and maps; where numbers are arrays, of each of their distinct entries."""
+    arrays = [x for x in arguments if isinstance(x, np.ndarray)]
+    if not arrays:
+        return function(*arguments)
+    rows, place = np.unique(np.column_stack(np.broadcast_arrays(*arrays)), axis=0, return_inverse=True)
+    found = []
+    for row in rows.tolist():
+        entries = iter(row)
+        found.append(function(*(next(entries) if isinstance(x, np.ndarray) else x for x in arguments)))
+    return np.array(found)[place.ravel()]
+
+
+def array_problems(p: Parameters) -> Iterator[str]:
+    """Yield what is wrong with the numbers of a set that are arrays: what `Parameters` itself says of plain numbers."""
+    arrays = {name: (spec, x) for name, spec, x in all_numbers(p) if isinstance(x, np.ndarray)}
+    for name, (spec, x) in arrays.items():
+        yield from outside(name, spec, x)
+    for relation in p.relations if arrays else ():
+        broken = relation.broken(p)
+        if isinstance(broken, np.ndarray) and broken.any():
+            one = {name: x[broken.argmax()] if isinstance(x, np.ndarray) else x for name, x in vars(p).items()}
+            yield f"{relation.message.format_map(one)}{_where(broken)}"
+
+
+def outside(name: str, spec: Spec, values: Any) -> Iterator[str]:
+    """Yield which entries of an array lie outside the bounds."""
+    if (bad := spec.outside(values)).any():
+        yield f"{name} = {spec.shown(values[bad.argmax()])}{_where(bad)}, must be {spec.allowed() or 'a finite number'}"
+
+
+def _where(bad: Any) -> str:
+    n = int(bad.sum())
+    return f" at index {bad.argmax()}{f' and {n - 1} more' if n > 1 else ''}"
 
 
 def bind(p: Parameters, symbols: dict[str, Any], functions: dict[str, Any]) -> Parameters:

@@ -172,6 +172,7 @@ class Wheel(Component, Rolling):
     @face(
         "axle", "F_limited", "v_limited", "slip_limited", "slip", "F_friction_required", "F_driveline_required",
         "next_v_before", "_asked", "_grip", "_split", "_way", "share_front",
+        "tau_front_out", "tau_front_in", "tau_rear_out", "tau_rear_in",
     )  # fmt: skip
     def required(self, tyre: Tyre, v: Expr, grade: Expr, dt: Expr, body: Body, v_before: Expr, turning: Turning) -> Mapping[str, Any]:
         """Return the axle point that the request needs, equations (1) and (2)."""
@@ -181,6 +182,8 @@ class Wheel(Component, Rolling):
         omega = grip.v * (1 + slip) / self.p.r
         tread = self.shaft(split.driveline, omega, (grip.v - v_before) / dt * (1 + slip) / self.p.r)
         way = outward(self.chain(turning, body), tread)
+        F_front, F_rear = self.friction(grip.F - split.driveline, tyre.v, ca.inf, ca.inf)
+        F_most = self.p.front_driven * self.p.mu_max * grip.W_front, self.p.rear_driven * self.p.mu_max * grip.W_rear
         return {
             "axle": way[-1][2],
             "F_limited": grip.F,
@@ -195,6 +198,7 @@ class Wheel(Component, Rolling):
             "_split": split,
             "_way": way,
             "share_front": self.p.front_driven * grip.W_front / grip.W_driven,
+            **self.held(*F_most, F_front, F_rear, way[-1][2].tau - tread.tau),
         }
 
     @face(
@@ -296,11 +300,17 @@ class Wheel(Component, Rolling):
             "P_kinetic": books.kinetic,
             "tau_grip_out": p.r * (p.mu_max * W_driven - F_driven),
             "tau_grip_in": p.r * (p.mu_max * W_driven + F_driven),
-            # Of each axle beside its brake; of bearings and inertia each bears half.
-            "tau_front_out": p.r * (p.mu_max * loads[0] - front) + (axle.tau - point.tau) / 2,
-            "tau_front_in": p.r * (p.mu_max * loads[0] + front) - (axle.tau - point.tau) / 2,
-            "tau_rear_out": p.r * (p.mu_max * loads[1] - rear) + (axle.tau - point.tau) / 2,
-            "tau_rear_in": p.r * (p.mu_max * loads[1] + rear) - (axle.tau - point.tau) / 2,
+            **self.held(p.mu_max * loads[0], p.mu_max * loads[1], front, rear, axle.tau - point.tau),
+        }
+
+    def held(self, F_most_front: Expr, F_most_rear: Expr, front: Expr, rear: Expr, tau: Expr) -> Mapping[str, Any]:
+        """Return what tyres hold of a driveline beside the friction brakes, axle by axle; of bearings and inertia each bears half."""
+        r = self.p.r
+        return {
+            "tau_front_out": r * (F_most_front - front) + tau / 2,
+            "tau_front_in": r * (F_most_front + front) - tau / 2,
+            "tau_rear_out": r * (F_most_rear - rear) + tau / 2,
+            "tau_rear_in": r * (F_most_rear + rear) - tau / 2,
         }
 
 

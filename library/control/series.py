@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -21,8 +21,8 @@ from halfshaft.library.base.parameters import table
 from halfshaft.library.base.ports import Expr
 from halfshaft.library.base.tables import Axis, Table
 from halfshaft.library.control.power_follower import Demand, PowerFollower, PowerFollowerParameters, Supply
-from halfshaft.library.electric.generator import Generator, GeneratorParameters
-from halfshaft.library.engine.engine import Engine, EngineParameters
+from halfshaft.library.electric.generator import Generator
+from halfshaft.library.engine.engine import Engine
 
 #: Of a genset's locus: speeds to choose from and power, at most, and the least efficiency that it reckons with [1, W, 1].
 MOST_SPEEDS, MOST_POWER, LOWEST_EFFICIENCY = 20_000, 1e12, 1e-3
@@ -110,9 +110,15 @@ class SeriesControl(PowerFollower):
         }
 
 
+#: The map and the envelope of a machine.
+Maps: TypeAlias = tuple[Table, Table]
+
+
 @np.errstate(all="ignore")
-def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: int = 11) -> Table:
+def genset_locus(engine: Maps, generator: Maps, speed_scale: float, torque_scale: float, overtorque: float, n: int = 11) -> Table:
     """Return the genset speed of least fuel over engine power, for engine scales of 1.
+
+    The engine is given by its fuel map and its envelope, the generator by its map of power, its envelope and its factors.
 
     Fuel per work and generator efficiency are put on a grid of ``n`` by ``n`` points that both machines cover.  For each
     of ``n - 1`` equal parts of the power range every whole-numbered speed is tried; the cost is the engine's fuel per
@@ -125,12 +131,13 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
         If the two have no speed in common, or the engine's maps hold no power.
 
     """
-    omega_engine, tau_engine = engine.fuel.points
-    omega_generator = generator.P_electric.points[0] * generator.speed_scale
-    tau_generator = generator.P_electric.points[1] * generator.torque_scale
+    (fuel_map, tau_max), (P_electric, generator_tau_max) = engine, generator
+    omega_engine, tau_engine = fuel_map.points
+    omega_generator = P_electric.points[0] * speed_scale
+    tau_generator = P_electric.points[1] * torque_scale
     turning, driving = omega_engine > 0, tau_engine > 0
-    omega_engine, tau_engine, fuel = omega_engine[turning], tau_engine[driving], engine.fuel.values[turning][:, driving]
-    power = engine.tau_max.points[0] * engine.tau_max.values
+    omega_engine, tau_engine, fuel = omega_engine[turning], tau_engine[driving], fuel_map.values[turning][:, driving]
+    power = tau_max.points[0] * tau_max.values
     if not len(omega_engine) or not len(tau_engine) or not omega_engine[0] * tau_engine[0] < power.max() < MOST_POWER:
         raise InputError("genset_locus", ["the engine's maps hold no range of power"])
     low, high = max(omega_engine[0], omega_generator[0]), min(omega_engine[-1], omega_generator[-1])
@@ -147,14 +154,14 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
 
     per_work = 3.6e9 * fuel / np.outer(omega_engine, tau_engine)
     per_work = _read((omega_engine, tau_engine), per_work, grid)
-    scale = generator.speed_scale * generator.torque_scale
-    electric = _read((omega_generator, tau_generator), scale * generator.P_electric.values, grid)
+    scale = speed_scale * torque_scale
+    electric = _read((omega_generator, tau_generator), scale * P_electric.values, grid)
     efficiency = np.maximum(electric / np.outer(omega, tau), LOWEST_EFFICIENCY)
-    envelope_engine = np.interp(omega, engine.tau_max.points[0], engine.tau_max.values)
-    envelope_generator = generator.overtorque * generator.torque_scale * generator.tau_max.values
-    envelope_generator = np.interp(omega, generator.tau_max.points[0] * generator.speed_scale, envelope_generator)
+    envelope_engine = np.interp(omega, tau_max.points[0], tau_max.values)
+    envelope_generator = overtorque * torque_scale * generator_tau_max.values
+    envelope_generator = np.interp(omega, generator_tau_max.points[0] * speed_scale, envelope_generator)
 
-    P_low, P_top = omega_engine[0] * engine.fuel.points[1][driving][0], power.max()
+    P_low, P_top = omega_engine[0] * fuel_map.points[1][driving][0], power.max()
     P_points, omega_points = [P_low], [omega_engine[0]]
     for P in P_low + (P_top - P_low) * np.arange(1, n - 1) / (n - 1):
         torques = np.clip(P / speeds, tau[0], tau[-1])
@@ -163,7 +170,7 @@ def genset_locus(engine: EngineParameters, generator: GeneratorParameters, n: in
         cost = _read((omega, tau), per_work, points) / _read((omega, tau), efficiency, points)
         P_points.append(P)
         omega_points.append(speeds[np.argmin(cost + 10000 * over)])
-    return Table.of([*P_points, P_top], values=[*omega_points, engine.tau_max.points[0][power.argmax()]])
+    return Table.of([*P_points, P_top], values=[*omega_points, tau_max.points[0][power.argmax()]])
 
 
 def _read(axes: tuple[Any, Any], values: Any, points: Any) -> Any:

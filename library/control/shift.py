@@ -45,6 +45,7 @@ class ShiftParameters(Parameters):
     t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0, le=100, tag="shift time")
     t_hold: float = param("s", "shortest time between two changes of gear", 0.0, ge=0, le=1e12, tag="hold time")
     t_raised: float = param("s", "shortest time between a change upward and the next one downward", 2.0, ge=0, le=1e12)
+    gear_start: float = param("1", "gear at the start", 1.0, ge=1, le=100, tag="start gear")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +112,8 @@ class Shift(Component):
     )
 
     def start(self) -> Mapping[str, Any]:
-        """Return the start values: first gear, no recent shift."""
-        return {"gear_before": 1.0, "raised": 0.0, "t_since_shift": 15.0, "omega_estimate": 0.0}
+        """Return the start values: no recent shift."""
+        return {"gear_before": self.p.gear_start, "raised": 0.0, "t_since_shift": 15.0, "omega_estimate": 0.0}
 
     def ratio_of(self, gear: Expr, ratios: tuple[Expr, ...]) -> Expr:
         """Return the ratio of a whole-numbered gear."""
@@ -196,7 +197,7 @@ class AutomaticShift(Shift):
     reads = (*Shift.reads, From("converter", TorqueConverter), From("control", omega_idle="rad/s"))
 
     def start(self) -> Mapping[str, Any]:
-        """Return the start values: first gear, no recent shift, not locked."""
+        """Return the start values: no recent shift, not locked."""
         return {**super().start(), "locked_before": 0.0, "lockable": 0.0}
 
     def load_at(self, tau: Expr, omega: Expr, slip_limited: Expr, machine: Machine) -> Expr:
@@ -213,10 +214,14 @@ class AutomaticShift(Shift):
         ratio_before = self.ratio_of(gear_before, ratios)
         omega = self.input_speed(omega_gearbox, ratio_before, trace_missed, slip_limited, omega_estimate, dt)
         tau = tau_gearbox / (clip(torque_ratio, 0.7, 1) * ratio_before)
+        pump = converter.omega_pump(tau, omega)
+        tau_pump = converter.tau_pump(tau, omega)
         # A request beyond all torque would ask for a speed that the engine cannot reach against the converter.
-        pump = clip(converter.omega_pump(tau, omega), omega_idle, ca.fmax(omega_idle, converter.omega_settled(machine.tau_largest, omega)))
-        omega_engine = where(locked_before, omega, pump)
-        tau_engine = where(locked_before, tau, converter.torques(pump, omega)[0]) + tau_accessory_before
+        most = machine.tau_largest
+        pump = where(tau_pump > most, ca.fmin(pump, converter.omega_settled(most, omega)), pump)
+        tau_pump = where(pump < omega_idle, converter.tau_taken(omega_idle, omega), tau_pump)
+        omega_engine = where(locked_before, omega, ca.fmax(pump, omega_idle))
+        tau_engine = where(locked_before, tau, tau_pump) + tau_accessory_before
         return {"load": self.load_at(tau_engine, omega_engine, slip_limited, machine), "omega_input_estimate": omega_engine}
 
     @face("geared", "next_locked_before", "next_lockable")

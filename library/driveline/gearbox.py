@@ -6,8 +6,9 @@ With the ratio ``G`` of the gear::
     tau_in   = tau_out / G + tau_loss(tau_out, omega_out, G) + J alpha_in    (1)
 
 On the way back the loss is the same share of the input torque, without inertia, as in *required* (the paper's second
-assumption), also where the torque comes back reversed: a gearbox never gives power.  Where the ratio of output to
-input torque is zero or negative, which a small negative output torque gives, the same loss is taken instead.
+assumption), also where the torque comes back reversed: a gearbox never gives power.  Where more comes than was sent for, or the
+ratio of output to input torque is zero or negative, which a small negative output torque gives, the same loss is taken instead: a
+loss beside next to no torque says nothing of more.
 
 Two losses::
 
@@ -49,7 +50,7 @@ OMEGA_FLOOR = 0.2
 class GearboxParameters(Parameters):
     """Ratios and inertia, common to all gearboxes."""
 
-    ratios: tuple[float, ...] = params("1", "ratio of input speed to output speed, gear by gear", ge=0.01, le=100)
+    ratios: tuple[float, ...] = params("1", "ratio of input speed to output speed, gear by gear", ge=0.01, le=100, tag="gear ratios")
     J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0, le=100)
     speed_scale: float = param("1", "factor on the speeds of the loss", 1.0, ge=0.01, le=100)
     torque_scale: float = param("1", "factor on the torques of the loss", 1.0, ge=0.01, le=100)
@@ -78,9 +79,9 @@ class MapGearboxParameters(GearboxParameters):
 
 
 def same_efficiency(asked: Shaft, sent: Shaft, offered: Shaft, G: Expr) -> Shaft:
-    """Return what is delivered when the share of the input torque that *required* lost is lost, whichever way it goes."""
+    """Return what is delivered when the share of the input torque that *required* lost is lost, whichever way it goes, and no more."""
     useful = asked.tau * sent.tau > 0
-    share = where(useful, ca.fabs(offered.tau) / where(useful, ca.fabs(sent.tau), 1), 1)
+    share = ca.fmin(where(useful, ca.fabs(offered.tau) / where(useful, ca.fabs(sent.tau), 1), 1), 1)
     return Shaft(G * offered.tau - share * (G * sent.tau - asked.tau), offered.omega / G, offered.alpha / G)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from halfshaft.library.base.component import State, face, plant
 from halfshaft.library.base.expressions import clip, where
-from halfshaft.library.base.parameters import table
+from halfshaft.library.base.parameters import each, plain, table
 from halfshaft.library.base.ports import Electric, Expr
 from halfshaft.library.base.tables import Table
 from halfshaft.library.electric.store import CHARGE, TEMPERATURE, Source, Store, StoreParameters
@@ -41,16 +41,19 @@ class BatteryParameters(StoreParameters):
         return {"energy": pack_energy(self)}
 
 
-# A sweep asks for the same part again and again.
-@lru_cache(maxsize=64)
 def pack_energy(p: BatteryParameters) -> float:
     """Return what a full pack stores at its start temperature, by its open-circuit voltage down to empty [J]."""
-    T, soc = p.u_oc.points
+    Q = np.interp(p.T_start, p.Q.points[0], p.Q.values)
+    return plain(p.n_modules * p.capacity_scale * Q * each(_mean_voltage, p.u_oc, p.T_start))
+
+
+# A sweep asks for the same part again and again.
+@lru_cache(maxsize=64)
+def _mean_voltage(u_oc: Table, T_start: float) -> float:
+    T, soc = u_oc.points
     points = np.union1d(soc, (0.0, 1.0))
     points = points[(points >= 0) & (points <= 1)]
-    u_oc = np.interp(points, soc, [np.interp(p.T_start, T, u) for u in p.u_oc.values.T])
-    Q = np.interp(p.T_start, p.Q.points[0], p.Q.values)
-    return float(p.n_modules * p.capacity_scale * Q * np.trapezoid(u_oc, points))
+    return float(np.trapezoid(np.interp(points, soc, [np.interp(T_start, T, u) for u in u_oc.values.T]), points))
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ import numpy as np
 
 from halfshaft.library.base.component import Component, From, State, Variable, face, plant
 from halfshaft.library.base.expressions import LIFTED, clip, lifted, where
-from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, each, param, plain, table
 from halfshaft.library.base.ports import Electric, Expr, Port
 from halfshaft.library.base.tables import Axis, Table
 
@@ -119,8 +119,12 @@ class NetPowerParameters(FuelCellParameters):
 
 def best_efficiency(p: NetPowerParameters) -> float:
     """Return the best efficiency of the map."""
-    P, P_fuel = p.fuel.points[0], p.H_fuel * p.fuel.values
-    return float(p.efficiency_scale * np.max(np.divide(P, P_fuel, out=np.zeros_like(P), where=P_fuel > 0)))
+    return plain(p.efficiency_scale * each(_best, p.fuel, p.H_fuel))
+
+
+def _best(fuel: Table, H_fuel: float) -> float:
+    P, P_fuel = fuel.points[0], H_fuel * fuel.values
+    return float(np.max(np.divide(P, P_fuel, out=np.zeros_like(P), where=P_fuel > 0)))
 
 
 @dataclass(frozen=True)

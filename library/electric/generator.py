@@ -20,7 +20,7 @@ import casadi as ca
 from halfshaft.library.base.component import ROTOR, Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import Turning, clip, where
 from halfshaft.library.base.links import kinetic_rate
-from halfshaft.library.base.parameters import Parameters, Rated, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, each, param, plain, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -48,8 +48,12 @@ class GeneratorParameters(Parameters):
 
 def peak_power(p: GeneratorParameters) -> float:
     """Return the largest power of the envelope's points at the shaft, overtorque included [W]."""
-    omega, tau = p.tau_max.points[0], p.tau_max.values
-    return float((omega * tau)[omega <= p.omega_max].max() * p.overtorque * p.torque_scale * p.speed_scale)
+    return plain(each(_peak, p.tau_max, p.omega_max) * p.overtorque * p.torque_scale * p.speed_scale)
+
+
+def _peak(tau_max: Table, omega_max: float) -> float:
+    omega = tau_max.points[0]
+    return float((omega * tau_max.values)[omega <= omega_max].max())
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from halfshaft.library.base.component import From, Signal, State, Variable, face
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import Link, TwoSided, continuous, inertia, limit
-from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, each, param, plain, table
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -74,32 +74,36 @@ class MotorParameters(Parameters):
         return {"traction power": self.P_peak()}
 
 
-# A sweep asks for the same part again and again.
-@lru_cache(maxsize=64)
 def peak_power(p: MotorParameters) -> float:
     """Return the largest power at the shaft, overtorque included [W]."""
-    omega, tau = p.tau_max.points[0], p.tau_max.values
-    if omega[0] > 0 or omega[-1] < p.omega_max:
+    return plain(each(_peak, p.tau_max, p.omega_max) * p.overtorque * p.torque_scale * p.speed_scale)
+
+
+# A sweep asks for the same part again and again.
+@lru_cache(maxsize=64)
+def _peak(tau_max: Table, omega_max: float) -> float:
+    """Return the largest power under an envelope up to a speed [W]."""
+    omega, tau = tau_max.points[0], tau_max.values
+    if omega[0] > 0 or omega[-1] < omega_max:
         # The outermost pieces of the envelope are extended.
-        ends = np.array([0.0, p.omega_max])
-        omega, tau = np.append(omega, ends), np.append(tau, [p.tau_max(float(x)) for x in ends])
+        ends = np.array([0.0, omega_max])
+        omega, tau = np.append(omega, ends), np.append(tau, [tau_max(float(x)) for x in ends])
         order = np.argsort(omega, kind="stable")
         omega, tau = omega[order], tau[order]
-    inside = (omega >= 0) & (omega <= p.omega_max)
+    inside = (omega >= 0) & (omega <= omega_max)
     best = (tau * omega)[inside].max(initial=0.0)
     # Between two points the torque is a line, so the power is a parabola.
     slope = np.divide(np.diff(tau), np.diff(omega), out=np.zeros(len(omega) - 1), where=np.diff(omega) > 0)
     falls = slope < 0
     top = 0.5 * (omega[:-1][falls] - tau[:-1][falls] / slope[falls])
-    between = (top > omega[:-1][falls]) & (top < np.minimum(omega[1:][falls], p.omega_max))
-    best = max(best, (-slope[falls] * top**2)[between].max(initial=0.0))
-    return float(best * p.overtorque * p.torque_scale * p.speed_scale)
+    between = (top > omega[:-1][falls]) & (top < np.minimum(omega[1:][falls], omega_max))
+    return float(max(best, (-slope[falls] * top**2)[between].max(initial=0.0)))
 
 
 def best_efficiency(p: MotorParameters) -> float:
     """Return the best efficiency of the map while driving."""
     work, P = np.outer(*p.P_electric.points), p.P_electric.values
-    return float(p.efficiency_scale * np.max(np.divide(work, P, out=np.zeros_like(P), where=(work > 0) & (P > 0))))
+    return plain(p.efficiency_scale * np.max(np.divide(work, P, out=np.zeros_like(P), where=(work > 0) & (P > 0))))
 
 
 @dataclass(frozen=True)
@@ -116,17 +120,21 @@ class Motor(TwoSided, Machine):
         State("omega_before", "rad/s", "required speed of the previous step, below the top speed", neutral=0.0),
     )
     variables: ClassVar[tuple[Variable, ...]] = (
-        Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)"),
+        Variable("tau_limited", "N.m", "required torque with inertia, after the envelope (eq. 9)", signal=True),
         Variable("throttle_motor", "1", "that torque over the envelope, negative while braking", signal=True),
         Variable("P_map", "W", "electric power of the map, before the current limit (eq. 7)"),
     )
-    signals = (Signal("U_min", "V", "lowest supply voltage"),)
+    signals = (
+        Signal("U_min", "V", "lowest supply voltage"),
+        Signal("tau_rotor", "N.m", "required torque with inertia, before the envelope"),
+    )
     reads: ClassVar[tuple[From, ...]] = (
         From("body", trace_missed="1", speed_ratio="1"),
         From("battery", U_supply="V"),
         From("shift", optional=True, shifting="1"),
         From("battery", U="V", P_room_out="W", P_room_in="W"),
         From("wheel", optional=True, tau_grip_out="N.m", tau_grip_in="N.m"),
+        From("axle", optional=True, along=("shaft",), P_lack_out="W", P_lack_in="W"),
         From("node", optional=True, along=("dc",), forgiven="1"),
         From("coupler", optional=True, along=("shaft",), grip_forgiven="1"),
     )
@@ -136,6 +144,11 @@ class Motor(TwoSided, Machine):
     def law(self) -> Mapping[str, Any]:
         """Publish the voltage that the supply must keep."""
         return {"U_min": self.p.U_min}
+
+    @face("tau_rotor")
+    def request(self, shaft: Shaft) -> Mapping[str, Any]:
+        """Publish what is asked of the rotor."""
+        return {"tau_rotor": shaft.tau + self.p.J * shaft.alpha}
 
     def tau_envelope(self, omega: Expr) -> Expr:
         """Return the continuous driving torque at a speed [N.m]."""
@@ -233,19 +246,19 @@ class Motor(TwoSided, Machine):
     def drive(
         self, _tau: Expr, _omega: Expr, _P: Expr, throttle_motor: Expr, P_room_out: Expr, P_room_in: Expr, U: Expr,
         tau_grip_out: Expr = ca.inf, tau_grip_in: Expr = ca.inf, forgiven: Expr = 0.0,
-        grip_forgiven: Expr = 0.0,
+        grip_forgiven: Expr = 0.0, P_lack_out: Expr | None = None, P_lack_in: Expr | None = None,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Say when the motor gives what the motion needs: the throttle's torque, or less where power, current or grip end.
 
         The torque fades over the last half per cent below the top speed.
         """
-        room = P_room_out, P_room_in, U, tau_grip_out, tau_grip_in, forgiven, grip_forgiven
+        room = P_room_out, P_room_in, U, tau_grip_out, tau_grip_in, forgiven, grip_forgiven, P_lack_out, P_lack_in
         return {"balance": self.short(_tau, ca.fabs(_omega), _P, throttle_motor, *room)}
 
     def short(
         self, tau: Expr, omega: Expr, P: Expr, throttle: Expr, P_out: Expr, P_in: Expr, U: Expr,
         tau_out: Expr = ca.inf, tau_in: Expr = ca.inf, forgiven: Expr = 0.0,
-        grip_forgiven: Expr = 0.0,
+        grip_forgiven: Expr = 0.0, P_lack_out: Expr | None = None, P_lack_in: Expr | None = None,
     ) -> Expr:  # fmt: skip
         """Return how much torque the machine gives beyond `tau`, at a throttle and with room for power and torque out and in."""
         lowest, highest = self.limits(omega)
@@ -257,7 +270,8 @@ class Motor(TwoSided, Machine):
         # A limit takes torque away, but does not turn it round where accessories, a genset or the brakes alone are beyond it.
         # Where several machines meet the limit of one store, or of the tyres, all balances would be the same; each forgives it a share
         # of what it lacks.
-        out, into = P_out + forgiven * scale * (given - tau), P_in + forgiven * scale * (tau - given)
+        lacks = scale * (given - tau) if P_lack_out is None else P_lack_out, scale * (tau - given) if P_lack_in is None else P_lack_in
+        out, into = P_out + forgiven * lacks[0], P_in + forgiven * lacks[1]
         tau_out, tau_in = tau_out + grip_forgiven * (given - tau), tau_in + grip_forgiven * (tau - given)
         more = ca.fmax(ca.fmin(ca.fmin(out, P_max - P) / scale, tau_out), -tau)
         less = ca.fmin(-ca.fmin(ca.fmin(into, P_max + P) / scale, tau_in), -tau)

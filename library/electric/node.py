@@ -21,8 +21,8 @@ from halfshaft.library.base.expressions import where
 from halfshaft.library.base.parameters import Parameters
 from halfshaft.library.base.ports import Electric, Expr, Port
 
-#: Share of a missing torque that a machine's balance forgives the store's limit: small beside any loss.
-FORGIVEN = 1e-3
+#: Share of a missing power that a machine's balance forgives the store's limit: small beside any loss.
+FORGIVEN = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class ElectricNode(Component):
     other = Port(Electric, "wheel")
     supply = Port(Electric, "source")
     signals: ClassVar[tuple[Signal, ...]] = (
-        Signal("forgiven", "1", "share of a missing torque that a machine's balance forgives the store's limit"),
+        Signal("forgiven", "1", "share of a missing power that a machine's balance forgives the store's limit"),
     )
 
     @face("forgiven")

@@ -25,7 +25,7 @@ import numpy as np
 
 from halfshaft.library.base.component import State, Variable, face, plant
 from halfshaft.library.base.expressions import clip
-from halfshaft.library.base.parameters import Relation, table
+from halfshaft.library.base.parameters import Relation, each, plain, table
 from halfshaft.library.base.ports import Electric, Expr
 from halfshaft.library.base.tables import Table
 from halfshaft.library.electric.store import CHARGE, TEMPERATURE, Source, Store, StoreParameters
@@ -55,9 +55,9 @@ class RCBatteryParameters(StoreParameters):
 
     def ratings(self) -> Mapping[str, float]:
         """Return the energy of the full pack, down to empty, at its start temperature [J]."""
-        empty, full = (self.u_oc(self.T_start, soc) for soc in (0.0, 1.0))
-        C = self.C_bulk(self.T_start) + self.C_surface(self.T_start)
-        return {"energy": float(self.n_modules * self.capacity_scale * C * (full**2 - empty**2) / 2)}
+        empty, full = (each(self.u_oc, self.T_start, soc) for soc in (0.0, 1.0))
+        C = each(self.C_bulk, self.T_start) + each(self.C_surface, self.T_start)
+        return {"energy": plain(self.n_modules * self.capacity_scale * C * (full**2 - empty**2) / 2)}
 
 
 class Flows(NamedTuple):

@@ -20,7 +20,7 @@ import casadi as ca
 
 from halfshaft.library.base.component import State, Variable, face, plant
 from halfshaft.library.base.expressions import where
-from halfshaft.library.base.parameters import table
+from halfshaft.library.base.parameters import each, plain, table
 from halfshaft.library.base.ports import Electric, Expr
 from halfshaft.library.base.tables import Table
 from halfshaft.library.electric.store import SOC_EMPTY, TEMPERATURE, Source, Store, StoreParameters
@@ -37,7 +37,7 @@ class UltracapacitorParameters(StoreParameters):
 
     def ratings(self) -> Mapping[str, float]:
         """Return the energy of the full pack at its start temperature [J]."""
-        return {"energy": float(self.n_modules * self.capacity_scale * self.C(self.T_start) * self.u_max**2 / 2)}
+        return {"energy": plain(self.n_modules * self.capacity_scale * each(self.C, self.T_start) * self.u_max**2 / 2)}
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from halfshaft.library.base.component import ROTOR, Component, From, State, Vari
 from halfshaft.library.base.expressions import LIFTED, Turning, clip, lifted, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.links import kinetic_rate
-from halfshaft.library.base.parameters import Parameters, Rated, Relation, param, table
+from halfshaft.library.base.parameters import Parameters, Rated, Relation, each, param, plain, table
 from halfshaft.library.base.ports import Expr, Port, Shaft
 from halfshaft.library.base.tables import Axis, Table
 
@@ -74,13 +74,17 @@ class EngineParameters(Parameters):
 
 def peak_power(p: EngineParameters) -> float:
     """Return the largest power of the envelope's points [W]."""
-    return float((p.tau_max.points[0] * p.tau_max.values).max() * p.torque_scale * p.speed_scale)
+    return plain((p.tau_max.points[0] * p.tau_max.values).max() * p.torque_scale * p.speed_scale)
 
 
 def best_efficiency(p: EngineParameters) -> float:
     """Return the best efficiency of the fuel map."""
-    work, P_fuel = np.outer(*p.fuel.points), p.H_fuel * p.fuel.values
-    return float(p.efficiency_scale * np.max(np.divide(work, P_fuel, out=np.zeros_like(work), where=P_fuel > 0)))
+    return plain(p.efficiency_scale * each(_best, p.fuel, p.H_fuel))
+
+
+def _best(fuel: Table, H_fuel: float) -> float:
+    work, P_fuel = np.outer(*fuel.points), H_fuel * fuel.values
+    return float(np.max(np.divide(work, P_fuel, out=np.zeros_like(work), where=P_fuel > 0)))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+from functools import lru_cache
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import BinaryIO
@@ -59,6 +60,7 @@ def read_text(path: Path | Traversable, most: int) -> str:
         raise InputError(str(path), [f"not a text file in UTF-8: {e.reason} at byte {e.start + 1}"]) from e
 
 
+@lru_cache(maxsize=256)
 def cleaned(text: str) -> str:
     """Return a title or a source on one line, without control characters, marks of direction and doubled spaces."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())

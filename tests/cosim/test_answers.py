@@ -4,10 +4,12 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import h5py
 import numpy as np
 import pytest
 
 from halfshaft import Cycle, InputError, Result, Vehicle, run
+from halfshaft.cosim import older
 from halfshaft.cosim.facts import facts
 from halfshaft.cosim.origin import Ratings
 from halfshaft.cosim.remarks import remarks
@@ -265,11 +267,10 @@ def test_a_grade_over_distance_is_part_of_the_origin(tmp_path):
 
 def rewritten(result, path, change):
     """Save a result with its description changed, as another version would have written it."""
-    data = result.dataset.copy()
-    plain = json.loads(data.attrs["result"])
-    change(plain)
-    data.attrs = {**data.attrs, "result": json.dumps(plain)}
-    path.write_bytes(data.to_netcdf(engine="h5netcdf"))
+    with h5py.File(result.save(path), "r+") as data:
+        plain = json.loads(data.attrs["result"])
+        change(plain)
+        data.attrs["result"] = json.dumps(plain)
     return path
 
 
@@ -299,7 +300,8 @@ def as_in_format_2(plain):
 def test_a_file_without_tags_is_given_them(name, tmp_path):
     result = done(name)
     old = Result.load(rewritten(result, tmp_path / "old.nc", as_in_format_2))
-    assert old.tags == result.tags
+    # Tags that came later are for tests of vehicles.
+    assert old.tags == {name: tag for name, tag in result.tags.items() if tag in older.TAGS.values()}
     assert old.outputs == result.outputs
     assert old.summary == result.summary
     assert repr(old) == repr(result)

@@ -17,13 +17,6 @@ CARS = (
 TOLERANCE = {"rtol": 1e-12, "atol": 1e-12}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HALFSHAFT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.mark.parametrize("via", ["fmu2", "fmu3"])
 @pytest.mark.parametrize("car", CARS)
 def test_an_fmu_drives_as_the_compiled_step_does(car, via):

@@ -138,14 +138,13 @@ def test_an_output_that_is_not_finite_is_an_error_that_names_it(history, what, l
     compiled = stepper_of(CAR)
     when = "1" if history else "16"
     with pytest.raises(SolveError, match=f"by t = {when} s not finite: .*{lost}"):
-        _ = compiled.march(*broken(compiled.step, LONG, what), history=history).sums
+        compiled.march(*broken(compiled.step, LONG, what), history=history)
 
 
 def test_an_interpreted_run_looks_at_its_outputs_too():
     stepper = InterpretedStep(assemble(CAR.model(), CAR.title, interpolants))
-    march = stepper.march(*broken(stepper.step, SAMPLES, "efficiency"))
     with pytest.raises(SolveError, match="by t = 1 s not finite"):
-        _ = march.sums
+        stepper.march(*broken(stepper.step, SAMPLES, "efficiency"))
 
 
 @pytest.mark.parametrize(

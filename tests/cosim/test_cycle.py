@@ -137,7 +137,7 @@ def test_scaling_multiplies_distance_and_accelerations():
 
 def test_statistics_of_a_trapezoid():
     s = Cycle(name="c", time=np.array([0.0, 2.0, 6.0, 8.0, 12.0]), speed=np.array([0.0, 0.0, 8.0, 8.0, 0.0])).statistics()
-    assert s == (12.0, 16 + 16 + 16, 8.0, 4.0, 2.0, -2.0, 2.0, 1)
+    assert s == (12.0, 16 + 16 + 16, 8.0, 4.0, 2.0, -2.0, 2.0, 1, 2.0, -2.0, 0.0, None, None, None)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from halfshaft import Cycle, InputError, Vehicle, plot_run, run
-from halfshaft.cosim.plot import _labels
+from halfshaft.cosim.plot import labels_of as names_of
 
 
 @cache
@@ -78,10 +78,10 @@ def test_runs_over_each_other_have_one_line_each_and_their_names():
 
 def test_names_of_runs_say_what_differs():
     light, heavy, other = done(), done(m=1600), done(cycle="nycc")
-    assert _labels([light, other]) == ["us06", "nycc"]
-    assert _labels([light, heavy]) == ["body.m = 1144", "body.m = 1600"]
-    assert _labels([light, light, heavy]) == ["body.m = 1144 (1)", "body.m = 1144 (2)", "body.m = 1600"]
-    assert _labels([light, heavy, other]) == ["us06, body.m = 1144", "us06, body.m = 1600", "nycc, body.m = 1144"]
+    assert names_of([light, other]) == ["us06", "nycc"]
+    assert names_of([light, heavy]) == ["body.m = 1144", "body.m = 1600"]
+    assert names_of([light, light, heavy]) == ["body.m = 1144 (1)", "body.m = 1144 (2)", "body.m = 1600"]
+    assert names_of([light, heavy, other]) == ["us06, body.m = 1144", "us06, body.m = 1600", "nycc"]
     assert {"before", "after"} <= set(texts_of(plot_run(light, heavy, labels=["before", "after"])))
 
 

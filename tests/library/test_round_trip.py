@@ -171,7 +171,7 @@ def converter_case(part, geared, seed):
     omega = np.append(rng.uniform(0, 400, N - 20), np.zeros(20))
     tau = rng.uniform(-100, 150, N)
     if not geared:
-        ends = [[float(part.torques(p, w)[1]) for p in part.reach(engine, w, own, 80.0, 2.0, DT)] for w in omega]
+        ends = [[float(part.within(tau, w, engine, own, 80.0, 2.0, DT)[0]) for tau in (-1e4, 1e4)] for w in omega]
         tau = np.array([low + (high - low) * share for (low, high), share in zip(ends, rng.uniform(1e-3, 1 - 1e-3, N), strict=True)])
         # Below idling speed the pump would turn too slowly.
         kept = np.array([float(part.omega_pump(t, w)) for t, w in zip(tau, omega, strict=True)]) > 80.0
@@ -194,11 +194,21 @@ def axle_case(part):
     return chain_case(part, step_signals(), inside, loads([0, 1], 0, 0))
 
 
-def divider_case(part, share):
+def drive(ratio, tau_max):
+    """Return what stands behind an axle: a gear without losses, and a motor of one torque."""
+
+    def tried(asked):
+        return {"tau_rotor": asked.tau / ratio, "tau_limited": ca.fmin(ca.fmax(asked.tau / ratio, -tau_max), tau_max)}
+
+    return tried
+
+
+def divider_case(part, share, **drives):
     x = ca.SX.sym("x", 3)
     rng = random(11)
     inside = loads(rng.uniform(-3e3, 3e3, N), rng.uniform(0, 150, N), rng.uniform(-20, 20, N))
-    return junction_case(part, x, Shaft(*ca.vertsplit(x)), {}, {"share_front": share}, inside, loads([0, 1], 0, 0))
+    signals = {"share_front": share, **{f"tau_{axle}_{way}": 2e3 for axle in ("front", "rear") for way in ("out", "in")}, **drives}
+    return junction_case(part, x, Shaft(*ca.vertsplit(x)), {}, signals, inside, loads([0, 1], 0, 0))
 
 
 def mechanical_case(part, engine_on):
@@ -331,6 +341,8 @@ def junction_case(part, x, load, offering, signals, inside, edges):
 
     known = {name: load, "dt": DT, **offering, **signals, **{f"_sent_{port}": point for port, point in offering.items()}}
     known |= run(faces["required"], **known)
+    if "divide" in faces:
+        known |= run(faces["divide"], **known)
     sent = {}
     for port in (port.name for port in part.asked_ports() if port.name not in offering):
         known |= run(faces[f"ask_{port}"], **known)
@@ -437,6 +449,10 @@ CASES |= {
     "converter-scaled": lambda: converter_case(component("four-speed-automatic-converter", capacity_scale=0.37), 0, 12),
     "cvt-scaled": lambda: cvt_case(component("cvt-50kw", efficiency_scale=0.9, torque_scale=1.2, speed_scale=0.8, J=0.02), 3.5, 13),
     "axle-divider": lambda: divider_case(component("axle-divider"), 0.57),
+    "axle-divider, weak in front": lambda: divider_case(component("axle-divider"), 0.57, drive_front=drive(8.0, 30.0)),
+    "axle-divider, weak in both": lambda: divider_case(
+        component("axle-divider"), 0.57, drive_front=drive(8.0, 100.0), drive_rear=drive(5.0, 60.0)
+    ),
     "planetary-gear": lambda: planetary_case(component("planetary-78-30"), 7),
     "electric-node": lambda: node_case(component("electric-node"), 9),
     "priority-node": lambda: node_case(component("priority-node"), 8),

@@ -211,6 +211,66 @@ def test_a_shift_logic_looks_at_the_machine_behind_its_gearbox(order):
     assert wiring.read["shift"]["machine"] == ("part", "motor", "")
 
 
+@dataclass(frozen=True)
+class Trying(Bearing):
+    """A bearing that wants to know what would be, were something else asked behind it."""
+
+    variables = (Variable("tau_tried", "N.m", "what 7 N.m more would ask of the rotor"),)
+    reads = (From("drive", along=("input",), tried=True, tau_rotor="N.m"),)
+
+    @face("tau_tried")
+    def tries(self, output, drive):
+        return {"tau_tried": drive(output._replace(tau=output.tau + 7))["tau_rotor"]}
+
+
+class TryingAnotherUnit(Trying):
+    reads = (From("drive", along=("input",), tried=True, tau_rotor="N"),)
+
+
+class TryingWhatIsNotBehind(Trying):
+    reads = (From("drive", along=("input",), tried=True, gear="1"),)
+
+
+class TryingWhatMayBeAbsent(Trying):
+    reads = (From("drive", along=("input",), tried=True, optional=True, gear="1"),)
+
+    @face("tau_tried")
+    def tries(self, output, drive=None):
+        return {"tau_tried": output.tau if drive is None else drive(output)["gear"]}
+
+
+def test_a_part_may_try_what_would_be_asked_behind_it():
+    vehicle = electric_with_bearing(Trying(BearingParameters(tau=2.0, J=0.01)))
+    step = assemble(vehicle)
+    out = {d.name: i for i, d in enumerate(step.outputs)}
+    x, p = step.start([q.start for q in step.parameters]), [q.start for q in step.parameters]
+    _, y = step.function(x, [1.0, 0.0, 1.0, 1.0, 0.0], p)
+    y = np.array(y).ravel()
+    # The step itself asks for the bearing's drag and inertia on the way; the trial asks the motor alone, for 7 N.m.
+    alpha = y[out["motor.omega_required"]]
+    drag = 2.0 + 0.01 * alpha
+    motor = PARTS["motor"].p
+    expected = y[out["motor.tau_required"]] - drag + 7 + motor.J * alpha
+    assert y[out["bearing.tau_tried"]] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (TryingAnotherUnit, "bearing reads the signal tau_rotor in N, motor publishes it in N.m"),
+        (TryingWhatIsNotBehind, "bearing reads the signal gear of its drive, but nothing behind its input publishes it"),
+    ],
+)
+def test_what_is_tried_is_checked_like_what_is_read(kind, said):
+    with pytest.raises(WiringError) as refused:
+        assemble(electric_with_bearing(kind(BearingParameters())))
+    assert said in str(refused.value)
+
+
+def test_what_is_tried_may_be_absent_behind_a_port():
+    assert assemble(electric_with_bearing(TryingWhatMayBeAbsent(BearingParameters())))
+
+
 def test_unknowns_are_counted_against_balances():
     class Divider(Extra):
         unknowns = (Unknown("tau_share", "N.m", "torque of one branch"),)

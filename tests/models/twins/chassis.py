@@ -55,6 +55,14 @@ class Road:
         # The same step's way back takes all of these.
         self.asked, self.slope = (v_request, dt, vbar, F_lim, w, T_loss + T_J), (roll_0, roll_1, climb, sin)
         self.loads, self.T_loss = (W_front, W_rear, W_driven), T_loss
+        # What a driveline of its own may bring to an axle, driving and braking: the tyres' grip beside the friction brake that
+        # the request plans; each axle bears half of the wheels' own torque.
+        left, friction = 1 - by_driveline, F_lim - F_drive
+        planned = (clip(by_front / left, 0, 1) if left > 0 else 0.6) * friction
+        self.room = {
+            axle: (wheel.r * (grip - brake) + (T_loss + T_J) / 2, -wheel.r * (grip + brake) + (T_loss + T_J) / 2)
+            for axle, grip, brake in (("front", front * mu * W_front, planned), ("rear", rear * mu * W_rear, friction - planned))
+        }
         self.seen = {
             "body.F_required": F, "wheel.F_limited": F_lim, "wheel.v_limited": v_lim, "wheel.slip_limited": float(self.slips),
             "wheel.slip": slip, "wheel.F_driveline_required": F_drive, "final_drive.omega_required": w,

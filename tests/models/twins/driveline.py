@@ -50,8 +50,8 @@ class Gearbox:
     def available(self, T, w):
         self.w_offered = w
         T -= self.T_J
-        # The loss keeps its share of the input torque; where that is no ratio, its size.
-        share = abs(T / self.T_in) if self.T_out * self.T_in > 0 else 1.0
+        # The loss keeps its share of the input torque; where that is no ratio, or more came than was sent for, its size.
+        share = min(abs(T / self.T_in), 1.0) if self.T_out * self.T_in > 0 else 1.0
         return self.G * T - share * (self.G * self.T_in - self.T_out), w / self.G
 
 
@@ -68,7 +68,7 @@ class Shift:
 
     def __init__(self, p, ratios, T_max):
         self.p, self.ratios, self.T_max, self.up, self.down = p, ratios, T_max, Look(p.up), Look(p.down)
-        self.gear, self.raised, self.since = 1, False, 15.0
+        self.gear, self.raised, self.since = round(p.gear_start), False, 15.0
 
     def choose(self, T, w, road, gearbox, dt, T_acc=0.0):
         p, G = self.p, self.ratios[self.gear - 1]

@@ -3,6 +3,9 @@
 `parameters` are the vehicle's sets by role, `samples` the steps of a cycle.
 """
 
+import copy
+import math
+
 import numpy as np
 
 from .automatic import AutomaticShift, Cvt, Locus, TorqueConverter
@@ -130,6 +133,33 @@ def cvt(parameters, samples):
         yield seen(road, final, gearbox, locus, clutch, engine, control)
 
 
+def beyond(drive, T, w, alpha, U, road, dt):
+    """Return how much of a torque at an axle is more than its motor's envelope can drive or brake, found by halving."""
+    final, gearbox, shift, motor = (copy.copy(part) for part in drive)
+
+    def rotor(T):
+        output = final.required(T, w, alpha)
+        gear, G, shifting = copy.copy(shift).choose(*output[:2], road, gearbox, dt)
+        T_m, w_m, alpha_m = gearbox.required(*output, gear, G, shifting)
+        one = copy.copy(motor)
+        one.required(T_m, w_m, alpha_m, U, road, shifting)
+        return T_m + one.T_J, one.seen["motor.tau_limited"]
+
+    T_rotor, limit = rotor(T)
+    if T_rotor == limit or T * T_rotor <= 0:
+        return 0.0
+    inside, outside, way = 0.0, T, math.copysign(1.0, T)
+    if way * rotor(inside)[0] >= way * limit:
+        return T  # At most all of it.
+    for _ in range(60):
+        half = (inside + outside) / 2
+        if way * rotor(half)[0] >= way * limit:
+            outside = half
+        else:
+            inside = half
+    return T - inside
+
+
 def two_motor(parameters, samples):
     """Return a row of every step of an electric car with a motor on each axle."""
     p = parameters
@@ -142,7 +172,15 @@ def two_motor(parameters, samples):
     battery = Battery(p["battery"], max(p["motor_front"].U_min, p["motor_rear"].U_min))
     for v_request, grade, key_on, dt in steps(samples, road):
         T, w, alpha = road.required(v_request, grade, dt)
-        T_front = p["wheel"].front_driven * road.loads[0] / road.loads[2] * T
+        # By the loads of the axles; what is beyond one motor's envelope the other is asked for, as far as its tyres hold it.
+        shares = {"front": p["wheel"].front_driven * road.loads[0] / road.loads[2] * T}
+        shares["rear"] = T - shares["front"]
+        moved = {}
+        for axle, other in (("front", "rear"), ("rear", "front")):
+            most, least = road.room[other]
+            lack = beyond(drives[axle], shares[axle], w, alpha, battery.U, road, dt)
+            moved[axle] = clip(lack, min(least - shares[other], 0.0), max(most - shares[other], 0.0))
+        T_front = shares["front"] - moved["front"] + moved["rear"]
         asked = []
         for (final, gearbox, shift, motor), torque in zip(drives.values(), (T_front, T - T_front), strict=True):
             output = final.required(torque, w, alpha)
