@@ -35,6 +35,19 @@ def test_json_is_the_table_of_the_sweep():
     assert (said["tasks"], said["points"], said["failed"]) == (["nycc"], 8, 0)
 
 
+def test_tests_and_corrections_are_responses():
+    cars = ("small-car-electric", "small-car-parallel")
+    said = json.loads(called("sweep", *cars, "--cycle", "nycc", "--correction", "linear", "--test", "acceleration", "--json"))
+    assert said["tasks"] == ["nycc-linear", "acceleration"]
+    electric, parallel = said["table"]["acceleration.time_0_to_100_kmh_s"]
+    assert 5 < parallel < electric < 20
+    # An electric car has nothing to correct, and its acceleration is there all the same.
+    assert said["failed"] == 1
+    assert said["table"]["failure"][0].startswith("nycc-linear: ")
+    assert [x is None for x in said["table"]["nycc-linear.fuel_L"]] == [True, False]
+    assert "--correction linear goes with --cycle" in called("sweep", *cars, "--correction", "linear", "--test", "x", code=2)
+
+
 def test_few_points_are_printed_one_by_one_and_of_many_the_ends():
     few = called(*CAR, *AXIS)
     assert "small-car-electric over nycc  4 points" in few
@@ -66,7 +79,7 @@ def test_all_that_is_wrong_is_said_at_once_before_anything_runs(tmp_path):
     for part in [*parts, "--kind contours need 2"]:
         assert part in said
     assert "--kind goes with --plot" in called(*CAR, *AXIS, "--kind", "lines", code=2)
-    assert "name a cycle" in called("sweep", "small-car-electric", *AXIS, code=2)
+    assert "name a cycle or a test" in called("sweep", "small-car-electric", *AXIS, code=2)
     assert "response soc_ned is not known, did you mean 'soc_end'?" in called(*CAR, *AXIS, "--response", "soc_ned", code=2)
 
 
