@@ -185,7 +185,7 @@ def design_of(vehicles: Sequence[Vehicle], axes: Mapping[str, Given], sample: Sa
 
 def _settable(car: Vehicle) -> dict[str, Spec]:
     """Return what can be set by name: the numbers, and the ratings that stand for factors."""
-    return car.specs | {f"{role}.{r.name}": r.spec for role, part in car.parts.items() for r in part.component.parameters.rated}
+    return car.specs | {name: rated.spec for name, rated in car.rated.items()}
 
 
 def _parts(vehicles: Sequence[Vehicle], role: str, given: Given, problems: list[str]) -> tuple[Axis, list[Vehicle]]:
@@ -269,9 +269,7 @@ def _count(name: str, values: Sequence[Value], problems: list[str]) -> None:
 
 def _rivals(vehicles: Sequence[Vehicle], names: Sequence[str], problems: list[str]) -> None:
     """Report ratings and factors that say the same thing."""
-    stands = {
-        f"{role}.{r.name}": f"{role}.{r.scale}" for car in vehicles for role, p in car.parts.items() for r in p.component.parameters.rated
-    }
+    stands = {name: f"{name.partition('.')[0]}.{rated.scale}" for car in vehicles for name, rated in car.rated.items()}
     for i, name in enumerate(names):
         problems.extend(
             f"axes {other} and {name} both say how large it is; vary one of them"

@@ -23,6 +23,7 @@ from halfshaft.library.base.errors import HalfshaftError, InputError, nearest, n
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.crew import Crew, cluster, cores, processes
 from halfshaft.studies.design import Design, Given, Sample, Value, design_of
+from halfshaft.studies.figures import title_of, unit_of
 from halfshaft.studies.folder import Kept, kept
 from halfshaft.studies.identity import manifest
 from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point
@@ -35,12 +36,6 @@ if TYPE_CHECKING:
 Points: TypeAlias = Sequence[tuple[Value, ...]]
 Row: TypeAlias = tuple[int, tuple[Value, ...]]
 Add: TypeAlias = Callable[[Mapping[int, Point]], None]
-#: Unit of a figure by the end of its name, the longest that fits.
-UNITS = {
-    "_m": "m", "_s": "s", "_L": "L", "_J": "J", "_W": "W", "_kg": "kg", "_mps": "m/s", "_mps2": "m/s^2", "_kmh": "km/h", "_mph": "mph",
-    "_L_per_100km": "L/100 km", "_mpg": "mpg", "_MPGe": "MPGe", "_Wh_per_km": "Wh/km", "_kWh_per_100km": "kWh/100 km", "_pct": "%",
-    "_g_per_km": "g/km",
-}  # fmt: skip
 #: A sweep that takes no longer than this needs no other processes: they take as long to start [s].
 ALONE = 1.0
 #: A portion of work takes so long [s].
@@ -189,7 +184,11 @@ def _carry_out(
 
 def _share_out(job: Job, rows: deque[Row], crew: Crew, add: Add) -> None:
     """Hand out rows in portions of about a second, the last ones smaller so that all end together."""
-    content = pickle.dumps(job)
+    try:
+        content = pickle.dumps(job)
+    # What pickle raises has no common base.
+    except Exception as error:
+        raise InputError("sweep", [f"the tasks cannot be sent to other processes, only workers=1 can do them: {error}"]) from error
     pending: set[Future[Done]] = set()
     done, seconds = 0, 0.0
 
@@ -294,14 +293,3 @@ def table(found: xr.Dataset) -> dict[str, list[Any]]:
     """Return axes, figures, failures and notes of all points, column by column."""
     rows = found.to_dataframe(dim_order=list(found.sizes)).reset_index()
     return {str(name): rows[name].tolist() for name in (*found.coords, *found.data_vars)}
-
-
-def unit_of(figure: str) -> str:
-    """Return the unit of a figure, which its name ends with; ``1`` where it has none."""
-    return next((UNITS[end] for end in sorted(UNITS, key=len, reverse=True) if figure.endswith(end)), "1")
-
-
-def title_of(figure: str) -> str:
-    """Return a figure's name in words, without its unit."""
-    end = next((end for end in sorted(UNITS, key=len, reverse=True) if figure.endswith(end)), "")
-    return figure.removesuffix(end).replace("_", " ").replace(".", ": ")

@@ -1,13 +1,15 @@
 """Sweeps: the points of grids and samples, what is found there, and what is refused."""
 
+import pickle
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from halfshaft import Cycle, InputError, Vehicle
+from halfshaft import Cycle, InputError, Vehicle, vehicle_names
 from halfshaft.studies.design import Axis, Sample, design_of, read_axes
-from halfshaft.studies.sweep import sweep, table, title_of, unit_of
+from halfshaft.studies.figures import title_of, unit_of
+from halfshaft.studies.sweep import sweep, table
 from halfshaft.studies.task import Drive, Found
 
 CAR = Vehicle.load("small-car-electric")
@@ -131,6 +133,28 @@ def test_a_vehicle_that_cannot_be_is_a_failing_point():
     assert "soc_low = 0.5" in str(found["failure"].values[1, 0])
 
 
+@pytest.mark.parametrize("name", vehicle_names())
+def test_a_vehicle_that_was_looked_at_can_be_sent_to_another_process(name):
+    car = Vehicle.load(name)
+    assert car.rated is not None
+    assert car.tags
+    assert car.notes is not None
+    assert car.structure
+    sent = pickle.loads(pickle.dumps(car))
+    assert sent.structure == car.structure
+    assert sent.to_toml() == car.to_toml()
+    assert sent.with_values({"body.m": 1000}).values == car.with_values({"body.m": 1000}).values
+
+
+def test_a_task_that_cannot_be_sent_is_refused_by_other_processes():
+    @dataclass(frozen=True)
+    class Local(Weigh):
+        pass
+
+    with pytest.raises(InputError, match="cannot be sent to other processes, only workers=1"):
+        sweep(CAR, {"body.m": "1000..1600:4"}, Local(), workers=2)
+
+
 def test_progress_counts_every_point_once():
     told = []
     sweep(CAR, {"body.m": "1000..1600:4"}, Weigh(), progress=lambda done, total: told.append((done, total)))
@@ -214,7 +238,7 @@ def test_a_response_that_there_is_not_is_refused_before_the_sweep_runs():
 
 @pytest.mark.parametrize(
     ("figure", "unit", "title"),
-    [("fuel_economy_L_per_100km", "L/100 km", "fuel economy"), ("udds.energy_MPGe", "MPGe", "udds: energy"), ("soc_end", "1", "soc end"),
+    [("fuel_economy_L_per_100km", "L/100 km", "fuel economy"), ("udds.grade_percent", "%", "udds: grade"), ("soc_end", "1", "soc end"),
      ("distance_m", "m", "distance")],
 )  # fmt: skip
 def test_a_figure_is_named_and_has_the_unit_that_its_name_ends_with(figure, unit, title):
