@@ -175,15 +175,24 @@ class Road:
 
     def holds(self, grade: float) -> bool:
         """Return whether the vehicle holds a grade in any of its gears."""
-        for gear in self.gears:
-            if held := any(self._driven(grade, gear, mode) for mode in self._modes):
+        best = max((g for g, held in self.trials if held), default=None)
+        held = False
+        for gear in list(self.gears):
+            # What does not even hold the grade that another gear holds is not asked again.
+            if best is not None and gear != self.gears[0] and not self._holds_in(gear, best):
+                self.gears.remove(gear)
+            elif held := self._holds_in(gear, grade):
                 self.gears = [gear, *(g for g in self.gears if g != gear)]
                 break
         self.trials.append((grade, held))
         return held
 
-    def _driven(self, grade: float, gear: int | None, mode: Mode) -> bool:
+    def _holds_in(self, gear: int | None, grade: float) -> bool:
         """Return whether the vehicle holds a grade in a gear."""
+        return any(self._driven(grade, gear, mode) for mode in self._modes)
+
+    def _driven(self, grade: float, gear: int | None, mode: Mode) -> bool:
+        """Return whether it does if the steps are solved in a mode."""
         if gear is not None:
             self._parameters[self._start_gear] = gear
         march = self._stepper.march(self._samples._replace(grade=grade * self._share), self._parameters, mode=mode)
