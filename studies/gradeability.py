@@ -143,7 +143,7 @@ class GradeabilityTest(Conditions):
             held, steepest = (halve if self.routine == "1999" else grow)(road.holds, self.tolerance or TOLERANCES[self.routine])
         if held is None:
             notes = (f"a grade of {100 * (self.grade or 0.0):g} % is not held at {self.speed / MPH:.4g} mph",)
-        elif held == steepest:
+        elif self.grade is None and held == steepest:
             notes = (f"a grade of {100 * held:g} % is held; steeper ones were not tried",)
         figures = {"grade_percent": None if held is None else 100 * held, "speed_mps": self.speed, "gear": road.gears[0]}
         return Climbed(figures, tuple(road.trials), notes)
