@@ -20,6 +20,7 @@ import numpy as np
 
 from halfshaft.cosim.compiled import Array, Mode
 from halfshaft.cosim.cycle import acceleration_cycle
+from halfshaft.cosim.remarks import acted
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run
 from halfshaft.cosim.units import M_PER_MILE
@@ -245,7 +246,7 @@ class AccelerationTest(Conditions):
             figures[f"time_over_{s:g}_m_s"] = float(np.interp(s, way, time)) - T_START if way[-1] >= s else None
         figures["acceleration_max_mps2"] = float(np.diff(result.the("speed"), prepend=0.0).max() / DT)
         figures["speed_max_mps"] = result.highest[result.tags.the("speed")]
-        return Accelerated(figures, result, result.warnings)
+        return Accelerated(figures, result, acted(result))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,7 +281,7 @@ class TopSpeedTest(Conditions):
         figures = {"top_speed_mps": float(v[i]), "reached_after_s": float(result.time[i]) - T_START}
         lost = v[i] - v[-1]
         notes = (f"not held: {lost * 3.6:.3g} km/h slower at the end of {result.time[-1]:g} s",) if lost > STEADY else ()
-        return Accelerated(figures, result, (*notes, *result.warnings))
+        return Accelerated(figures, result, (*notes, *acted(result)))
 
 
 def travelled(result: Result) -> Array:
