@@ -186,7 +186,7 @@ class AccelerationTest(Conditions):
         Both shift in 0.2 s; that of ``1999`` also lets the clutch slip up to 0.4 of the engine's highest speed, and no hybrid drive
         off electrically by choice.
     mode
-        How the steps are solved; without it refined, or hybrid where there is no compiler.
+        How the steps are solved; without it refined, or hybrid where there is no compiler or the battery rests.
     duration
         Time until which the request is held [s].  Without it 50 s, and longer while something is still to be reached.
 
@@ -227,7 +227,7 @@ class AccelerationTest(Conditions):
         """
         old = self.routine == "1999"
         car = self.applied(vehicle, "high" if old else "middle", more=shifting(vehicle) | (launching(vehicle) if old else {}))
-        mode, highest = best_mode(car, self.mode), max((high for _, high in self.pairs), default=0.0) * IN_MPS[self.unit]
+        mode, highest = self.solved(car, self.mode), max((high for _, high in self.pairs), default=0.0) * IN_MPS[self.unit]
 
         def done(result: Result) -> bool:
             driven, held = float(travelled(result)[-1]), float(result.time[-1]) - T_START
@@ -258,7 +258,7 @@ class TopSpeedTest(Conditions):
     Parameters
     ----------
     mode
-        How the steps are solved; without it refined, or hybrid where there is no compiler.
+        How the steps are solved; without it refined, or hybrid where there is no compiler or the battery rests.
 
     """
 
@@ -275,7 +275,7 @@ class TopSpeedTest(Conditions):
 
         """
         car = self.applied(vehicle, "middle", more=shifting(vehicle))
-        result = full_effort(car, best_mode(car, self.mode), lambda _: False, steady=STEADIEST, key_on=self.resting != "converter")
+        result = full_effort(car, self.solved(car, self.mode), lambda _: False, steady=STEADIEST, key_on=self.resting != "converter")
         v = result.the("speed")
         i = int(v.argmax())
         figures = {"top_speed_mps": float(v[i]), "reached_after_s": float(result.time[i]) - T_START}

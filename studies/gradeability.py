@@ -24,7 +24,7 @@ from halfshaft.cosim.cycle import Samples
 from halfshaft.cosim.simulate import parameters_of, stepper_of
 from halfshaft.library.base.errors import InputError, number
 from halfshaft.models.vehicle import Vehicle
-from halfshaft.studies.conditions import MPH, Conditions, Place, Routine, best_mode, is_hybrid
+from halfshaft.studies.conditions import AT_ONCE, MPH, Conditions, Place, Routine, best_mode, is_hybrid
 
 #: Speeds closer than this are the same [m/s].
 SAME = 0.01 * MPH
@@ -39,8 +39,8 @@ BOUNDS, STEP, GROWTH = (0.0, 0.10), 0.01, 1.618
 #: Bracket at which a search ends [1], and most halvings.
 TOLERANCES: Mapping[Routine, float] = {"1999": 5e-6, "2000": 5e-4}
 MOST_HALVINGS = 25
-#: Time for which a gear is kept [s]; rise of power that is none [W/s].
-KEPT, AT_ONCE = 1e12, 1e9
+#: Time for which a gear is kept [s].
+KEPT = 1e12
 #: Longest test of a grade [s].
 LONGEST = 1e5
 
