@@ -119,7 +119,7 @@ def test_top_speed_is_where_it_gains_no_more():
 
 def test_all_problems_of_the_options_are_named_at_once():
     with pytest.raises(InputError) as error:
-        AccelerationTest(pairs=((60, 40), (0, 400)), within=(0,), over=(-1,), routine="1998", soc="top")(CAR)
-    assert len(error.value.problems) == 6
+        AccelerationTest(pairs=((60, 40), (0, 400), ("x", 3)), within=(0,), over=(-1,), routine="1998", soc="top", duration=5)(CAR)
+    assert len(error.value.problems) == 8
     with pytest.raises(InputError, match="unit = 'knots', must be mph or km/h"):
         AccelerationTest(unit="knots")(CAR)
