@@ -24,7 +24,7 @@ from halfshaft.cosim.cycle import Samples
 from halfshaft.cosim.simulate import parameters_of, stepper_of
 from halfshaft.library.base.errors import InputError, number
 from halfshaft.models.vehicle import Vehicle
-from halfshaft.studies.conditions import MPH, Conditions, Place, Routine, best_mode, is_hybrid
+from halfshaft.studies.conditions import AT_ONCE, MPH, Conditions, Place, Routine, best_mode, is_hybrid
 
 #: Speeds closer than this are the same [m/s].
 SAME = 0.01 * MPH
@@ -39,8 +39,8 @@ BOUNDS, STEP, GROWTH = (0.0, 0.10), 0.01, 1.618
 #: Bracket at which a search ends [1], and most halvings.
 TOLERANCES: Mapping[Routine, float] = {"1999": 5e-6, "2000": 5e-4}
 MOST_HALVINGS = 25
-#: Time for which a gear is kept [s]; rise of power that is none [W/s].
-KEPT, AT_ONCE = 1e12, 1e9
+#: Time for which a gear is kept [s].
+KEPT = 1e12
 #: Longest test of a grade [s].
 LONGEST = 1e5
 
@@ -111,15 +111,15 @@ class GradeabilityTest(Conditions):
         if self.routine not in TOLERANCES:
             problems.append(f"routine = {self.routine!r}, must be 1999 or 2000")
         if not 0 < number(self.speed) <= 1000:
-            problems.append(f"speed = {self.speed:g} m/s, must be > 0 m/s and <= 1000 m/s")
+            problems.append(f"speed = {self.speed} m/s, must be > 0 m/s and <= 1000 m/s")
         if self.grade is not None and not -1 <= number(self.grade) <= 1:
-            problems.append(f"grade = {self.grade:g}, must be >= -1 and <= 1")
+            problems.append(f"grade = {self.grade}, must be >= -1 and <= 1")
         if not 0 < number(self.dt) <= LONGEST:
-            problems.append(f"dt = {self.dt:g} s, must be > 0 s")
+            problems.append(f"dt = {self.dt} s, must be > 0 s")
         elif not 3 * self.dt <= number(self.duration) <= LONGEST:
-            problems.append(f"duration = {self.duration:g} s, must be three steps of {self.dt:g} s at least and {LONGEST:g} s at most")
+            problems.append(f"duration = {self.duration} s, must be three steps of {self.dt} s at least and {LONGEST:g} s at most")
         if self.tolerance is not None and not 0 < number(self.tolerance) < 1:
-            problems.append(f"tolerance = {self.tolerance:g}, must be > 0 and < 1")
+            problems.append(f"tolerance = {self.tolerance}, must be > 0 and < 1")
         return problems
 
     def __call__(self, vehicle: Vehicle) -> Climbed:

@@ -19,6 +19,7 @@ def test_the_five_numbers_by_hand():
     assert found["trace_miss_max_mps"] == 2
     assert found["trace_miss_of_top_speed_percent"] == 20
     assert found["trace_miss_of_speed_percent"] == 25
+    assert (found["trace_miss_max_at_s"], found["trace_miss_of_speed_at_s"]) == (4, 4)
 
 
 def by_hand(driven, mass, road):
