@@ -26,7 +26,8 @@ from halfshaft.studies.design import Design, Given, Sample, Value, design_of
 from halfshaft.studies.figures import title_of, unit_of
 from halfshaft.studies.folder import Kept, kept
 from halfshaft.studies.identity import manifest
-from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point
+from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point, Row
+from halfshaft.studies.task import Drive
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -34,12 +35,13 @@ if TYPE_CHECKING:
     from halfshaft.studies.task import Task
 
 Points: TypeAlias = Sequence[tuple[Value, ...]]
-Row: TypeAlias = tuple[int, tuple[Value, ...]]
 Add: TypeAlias = Callable[[Mapping[int, Point]], None]
 #: A sweep that takes no longer than this needs no other processes: they take as long to start [s].
 ALONE = 1.0
 #: A portion of work takes so long [s].
 PORTION = 1.0
+#: So many plain runs are made in batches, so many at a time: there an interrupt is looked at.
+BATCHED, BATCH = 1000, 1024
 MOST_WORKERS = 1000
 
 
@@ -144,7 +146,8 @@ def _planned(
     design = design_of(vehicles, axes, drawn, problems)
     if problems:
         raise InputError("sweep", problems)
-    return Job(vehicles, design.axes, work), design
+    plain = all(type(task) is Drive for task in work) and any(axis.numeric for axis in design.axes)
+    return Job(vehicles, design.axes, work, plain and len(design.points) >= BATCHED), design
 
 
 def _carry_out(
@@ -171,6 +174,8 @@ def _carry_out(
         if remote is not None:
             _share_out(job, rows, remote, add)
             return
+        while rows and job.batch:
+            add(job.many([rows.popleft() for _ in range(min(BATCH, len(rows)))], threads=workers))
         hands = workers or cores()
         if workers is None or hands == 1:
             begin = time.monotonic()
@@ -223,7 +228,7 @@ def _probe(job: Job, points: Points, keeper: Kept, responses: Sequence[str], add
     tried: list[Point] = []
     for i, values in _probing(job, points):
         if i not in keeper.found:
-            add({i: job.at(values)})
+            add(job.many([(i, values)], threads=1) if job.batch else {i: job.at(values)})
         tried.append(keeper.found[i])
         if not (problems := _lacking(job, responses, tried)):
             return

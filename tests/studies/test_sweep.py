@@ -1,12 +1,14 @@
 """Sweeps: the points of grids and samples, what is found there, and what is refused."""
 
 import pickle
+import sys
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from halfshaft import Cycle, InputError, Vehicle, vehicle_names
+from halfshaft.studies import batch
 from halfshaft.studies.design import Axis, Sample, design_of, read_axes
 from halfshaft.studies.figures import title_of, unit_of
 from halfshaft.studies.sweep import sweep, table
@@ -105,6 +107,47 @@ def test_a_sweep_finds_what_single_runs_find():
     assert found["body.m"].attrs == {"units": "kg", "long_name": "test mass"}
     # The car burns nothing.
     assert "fuel_L" not in found
+
+
+def test_many_plain_runs_are_made_in_batches_and_find_the_same(monkeypatch, tmp_path):
+    car = Vehicle.load("small-car-series")
+    axes = {
+        "control.soc_high": [0.4, 0.5, 0.8],
+        "control.soc_low": [0.3, 0.45],
+        "motor": "ac-75kw,ac-83kw",
+        "motor.P_max": ["60 kW", "80 kW"],
+    }
+    tasks = [Drive(SHORT), Drive(Cycle(name="rest", time=[0, 9], speed=[0, 0]), "refined")]
+    alone = sweep(car, axes, tasks, workers=1)
+    module = sys.modules["halfshaft.studies.sweep"]
+    monkeypatch.setattr(module, "BATCHED", 24)
+    monkeypatch.setattr(module, "BATCH", 7)
+    together = sweep(car, axes, tasks, folder=tmp_path)
+    about_the_method = {f"{task.name}.{name}" for task in tasks for name in ("balance_relative", "speed_mismatch_relative")}
+    assert set(alone) - set(together) == about_the_method
+    assert alone[[*together]].drop_vars("notes").equals(together.drop_vars("notes"))
+    assert (together["notes"] == "").all()
+    # A window upside down: 4 of 24 points.
+    assert (together["failure"] != "").sum() == 4
+    assert "must be below soc_high = 0.4" in str(together["failure"].values[0, 1, 0, 0])
+    # In portions of another size they are the same.
+    monkeypatch.setattr(module, "BATCH", 24)
+    assert sweep(car, axes, tasks).equals(together)
+    assert sweep(car, axes, tasks, folder=tmp_path).equals(together)
+
+
+def test_a_run_of_a_batch_that_loses_a_number_is_a_failing_point(monkeypatch):
+    def losing(*args, **kwargs):
+        found = batch.run_batch.__wrapped__(*args, **kwargs)
+        lost = found["body.m"] == 1200
+        return found.where(~lost).assign(status=lost.astype(int), lost_by=found["lost_by"].where(~lost, 3.0))
+
+    losing.__wrapped__ = batch.run_batch
+    monkeypatch.setattr(batch, "run_batch", losing)
+    monkeypatch.setattr(sys.modules["halfshaft.studies.sweep"], "BATCHED", 2)
+    found = sweep(CAR, {"body.m": [1000, 1200, 1400]}, Drive(SHORT))
+    assert found["failure"].values.tolist() == ["", "Small battery electric car: by t = 3 s a result is not a number; check the inputs", ""]
+    assert found["soc_end"].isnull().values.tolist() == [False, True, False]
 
 
 def test_several_vehicles_are_an_axis():
