@@ -78,7 +78,7 @@ class Job:
             prefix, said = self._told(task)
             try:
                 outcome = task(car)
-                figures |= {prefix + name: x if x is None else float(x) for name, x in outcome.figures.items()}
+                figures |= {prefix + name: x if x is None else float(x) for name, x in outcome.figures.items() if not isinstance(x, str)}
                 notes += [said + note for note in outcome.notes]
             # A task of the user's own may raise anything; that is no reason to lose the other points.
             except Exception as error:

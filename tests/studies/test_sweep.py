@@ -9,6 +9,7 @@ import pytest
 
 from halfshaft import Cycle, InputError, Vehicle, vehicle_names
 from halfshaft.studies import batch
+from halfshaft.studies.acceleration import AccelerationTest
 from halfshaft.studies.design import Axis, Sample, design_of, read_axes
 from halfshaft.studies.figures import title_of, unit_of
 from halfshaft.studies.sweep import sweep, table
@@ -267,6 +268,35 @@ def test_what_is_no_vehicle_or_task_is_refused():
     assert "frozen dataclass" in problems(CAR, {"body.m": [1000, 1200]}, lambda car: car)[0]
     assert problems(CAR, {"body.m": [1000, 1200]}, [Weigh(), Weigh(1.0)]) == ["has 2 tasks called 'weigh'"]
     assert problems([CAR, CAR], {"body.m": [1000, 1200]}, Weigh()) == ["vehicle 'small-car-electric' is given 2 times"]
+
+
+def test_what_is_no_list_and_what_is_too_much_is_refused():
+    axes = {"body.m": 1000, "motor": None, "body.c_d": "0.2..0.3:100001", "body.A": [1, None]}
+    assert problems(CAR, axes, Weigh()) == [
+        "axis motor has one value, must have at least two",
+        "axis body.m = 1000, must be a list or a range such as 1000..1600:4",
+        'axis body.c_d = "0.2..0.3:100001" has 100001 values, must have at most 100000',
+        'axis body.A = None, must be a number and a unit in quotes such as "1 m^2"',
+    ]
+    assert problems(CAR, {name: "1..2:5000" for name in ("wheel.J", "body.A")}, Weigh()) == [
+        "has 25000000 points, must have at most 10000000; draw a sample"
+    ]
+    assert problems(CAR, {"wheel.J": "1..2"}, Weigh(), sample="saltelli:4194304") == [
+        "has 12582912 points, must have at most 10000000; draw a sample"
+    ]
+
+
+def test_options_of_a_test_that_cannot_be_are_refused_before_it_runs():
+    task = AccelerationTest(pairs=((60, 40),))
+    assert problems(CAR, {"body.m": [1000, 1200]}, task) == [f"acceleration: {problem}" for problem in task.problems()]
+    assert "frozen dataclass" in problems(CAR, {"body.m": [1000, 1200]}, Weigh)[0]
+
+
+def test_points_that_fail_do_not_hide_a_response_that_there_is_not():
+    car, axes = Vehicle.load("small-car-series"), {"control.soc_low": [0.5, 0.3], "control.soc_high": [0.4, 0.6]}
+    assert problems(car, axes, Weigh(), responses=["mass"]) == ["response mass is not known, did you mean 'mass_kg'?"]
+    found = sweep(CAR, {"body.m": [1000, 1200]}, Weigh(fails_above=900.0), responses=["mass_kg"])
+    assert found["mass_kg"].isnull().all()
 
 
 def test_a_response_that_there_is_not_is_refused_before_the_sweep_runs():
