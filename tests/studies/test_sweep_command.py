@@ -84,7 +84,7 @@ def test_all_that_is_wrong_is_said_at_once_before_anything_runs(tmp_path):
 
 
 def test_an_interrupt_says_where_it_goes_on(tmp_path):
-    study = ["udds", "--axis", "body.m=1000..1600:4000", "--workers", "1", "--out", str(tmp_path)]
+    study = ["nycc", "--test", "acceleration", "--axis", "body.m=1000..1600:4000", "--workers", "1", "--out", str(tmp_path)]
     command = [sys.executable, "-m", "halfshaft", *CAR[:3], *study]
     terminal, other = pty.openpty()
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=other, text=True)
