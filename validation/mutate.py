@@ -40,7 +40,7 @@ from typing import NamedTuple, TypedDict
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("library", "models", "fmu_build", "cosim", "studies", "app")
 #: For so long on a processor [s] tests are shown a change alone, then with up to so many others.
-ALONE, GROUP = 30, 8
+ALONE, GROUP = 100, 8
 #: A file of tests that takes so many times its time on a processor, and so much longer [s], hangs, which is noticed.
 PATIENCE = (20, 60)
 #: Libraries that most tests need and that no change touches.
@@ -322,7 +322,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     result: dict[str, str | None] = json.loads(judged.read_text()) if judged.exists() else {}
     if options.again:
         result = {mutant: by for mutant, by in result.items() if by != ""}
-    tried: Counter[tuple[str, str]] = Counter()
     noticed: Counter[tuple[str, str]] = Counter()
     alone: dict[Mutant, set[str]] = {}
     writing = Lock()
@@ -358,19 +357,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
             checkouts.put(checkout)
             return by, ran
 
+        def kinds_of(mutant: Mutant) -> tuple[str, str]:
+            return mutant.path, mutant.path.rpartition("/")[0]
+
         def judge(mutant: Mutant, by: str | None, last: str = "") -> None:
             result[str(mutant)] = by
+            noticed.update((key, by.partition("::")[0]) for key in kinds_of(mutant) if by)
             write(judged, result)
             count = sum(str(m) in result for m in sample)
             what = "noticed " if by else "SURVIVED" if by == "" else "open    "
             print(f"{count:4} {what} {mutant}   [{by or last}]", flush=True)
 
         def first(mutant: Mutant) -> None:
-            keys = mutant.path, mutant.path.rpartition("/")[0]
-
             def price(file: str) -> float:
-                found, shown = (sum(count[key, file] for key in keys) for count in (noticed, tried))
-                return survey[file]["seconds"] * (2 + shown) / (1 + found)
+                return survey[file]["seconds"] / (1 + sum(noticed[key, file] for key in kinds_of(mutant)))
 
             files: list[str] = []
             seconds = 0.0
@@ -380,8 +380,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     files.append(file)
             by, ran = show([mutant], files)
             alone[mutant] = set(ran)
-            tried.update((key, file) for key in keys for file in ran)
-            noticed.update((key, ran[-1]) for key in keys if by)
             judge(mutant, by or (None if executing(mutant) > alone[mutant] else ""), f"{len(ran)} of {len(executing(mutant))} files")
 
         def together(group: Sequence[Mutant], files: Sequence[str]) -> None:
@@ -398,6 +396,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         helpers = [path for path in helpers if not path.name.startswith("test_") and path != Path(__file__).resolve()]
         tests = [str(file.relative_to(ROOT)) for file in sorted((ROOT / "tests").rglob("test_*.py"))]
         list(pool.map(look, tests, [hashed([*helpers, ROOT / file]) for file in tests]))
+        noticed.update((key, (result.get(str(m)) or "").partition("::")[0]) for m in sample for key in kinds_of(m))
         list(pool.map(first, [m for m in sample if str(m) not in result]))
         groups: list[list[Mutant]] = []
         for mutant in sorted(m for m in sample if result[str(m)] is None):
