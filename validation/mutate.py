@@ -5,10 +5,10 @@ term, another number, a branch taken the other way, and runs the tests for each 
 the packages by their numbers of places.  It takes an hour or two, so it is no part of the suite.
 
 A survey comes first: which lines does each file of tests execute, and how long does it take?  A change is then shown only to those
-that execute its line, one after the other until one notices: cheap ones first, and those that noticed others of its kind.  Each runs
-in a process of its own, forked from one that has the large libraries, with the compiled code of the survey at hand.  After a
-while, what is left is shown to the other files several at a time, and by halves if that is noticed.  What is known is written as it
-comes, so a run that was stopped goes on.
+that execute its line, one after the other until one notices: cheap ones first, those of its name, and those that noticed others of
+its kind.  Each runs in a process of its own, forked from one that has the large libraries, with the compiled code of the survey at
+hand.  After a while, what is left is shown to the other files several at a time, and by halves if that is noticed.  What is known is
+written as it comes, so a run that was stopped goes on.
 
 mutmut and cosmic-ray were considered: neither changes C, and neither finds packages whose folders have other names.
 """
@@ -23,6 +23,7 @@ import multiprocessing
 import os
 import random
 import re
+import shlex
 import shutil
 import signal
 import sys
@@ -37,10 +38,12 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import NamedTuple, TypedDict
 
+from halfshaft.fmu_build.compiler import find_compiler
+
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("library", "models", "fmu_build", "cosim", "studies", "app")
 #: For so long on a processor [s] tests are shown a change alone, then with up to so many others.
-ALONE, GROUP = 100, 8
+ALONE, GROUP = 50, 8
 #: A file of tests that takes so many times its time on a processor, and so much longer [s], hangs, which is noticed.
 PATIENCE = (20, 60)
 #: Libraries that most tests need and that no change touches.
@@ -224,6 +227,9 @@ class Checkout:
         ignored = shutil.ignore_patterns(".venv", ".git", "build", "__pycache__", ".*_cache", ".hypothesis")
         shutil.copytree(ROOT, self.root, symlinks=True, ignore=ignored)
         (folder / "sitecustomize.py").write_text(RECORDER)
+        # Most of what is compiled runs for a second.
+        (folder / "cc").write_text(f'#!/bin/sh\nexec {shlex.join(find_compiler().command)} "$@" -O0\n')
+        (folder / "cc").chmod(0o755)
 
     def test(self, file: str, cache: Path, lines: Path | None = None, patience: float | None = None) -> str:
         """Return the first test of a file that fails; empty if none does.  The lines that were executed go into the file `lines`."""
@@ -284,7 +290,7 @@ def _session(root: Path, log: Path, file: str, cache: Path, lines: Path | None) 
     links = f"{root}/.typing"
     sys.path.insert(0, links)
     sys.dont_write_bytecode = True
-    os.environ |= {"PYTHONPATH": links, "HALFSHAFT_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    os.environ |= {"PYTHONPATH": links, "HALFSHAFT_CACHE": str(cache), "CC": f"{root.parent}/cc", "PYTHONDONTWRITEBYTECODE": "1"}
     for name in [name for name in sys.modules if name.partition(".")[0] == "halfshaft"]:
         del sys.modules[name]
     if lines:
@@ -370,7 +376,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         def first(mutant: Mutant) -> None:
             def price(file: str) -> float:
-                return survey[file]["seconds"] / (1 + sum(noticed[key, file] for key in kinds_of(mutant)))
+                named = Path(mutant.path).stem in file
+                return survey[file]["seconds"] / (1 + 10 * named + sum(noticed[key, file] for key in kinds_of(mutant)))
 
             files: list[str] = []
             seconds = 0.0
