@@ -53,8 +53,8 @@ _C = {
     "row": "p[{first} + {0}] + {1} * (p[{first} + 1 + {0}] - p[{first} + {0}])",
     **{name: f"{name}({{0}})" for name in ("sqrt", "fabs", "exp", "log", "tanh", "sin", "cos", "atan", "floor", "ceil")},
 }  # fmt: skip
-#: Operations that are dear enough to be left out where they do not count.
-_SEARCHES = ("find", "table", "row")
+#: What takes its first value as a condition on the others; the second one of two flags counts only where the first holds.
+_CHOICES = ("only", "choose", "and")
 _TYPES = {"number": "double", "flag": "int", "interval": "int"}
 
 
@@ -76,7 +76,7 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
     starter.inputs(p=p)
     first = starter.values(step.start.call([p])[0])
     unpack = [f"  const {_TYPES[graph.kind(name)]} {name} = q[{i}];" for i, name in enumerate(kept)]
-    lines = [*unpack, *_guarded(stepped, [*following, *outputs], graph)]
+    lines = [*unpack, *_guarded(stepped, graph, [*following, *outputs])]
     n_rows = sum(len(graph.tables[name].values) for name in graph.rows)
     parts = [
         _PRELUDE,
@@ -85,7 +85,7 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
         f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters) + n_rows}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
         "static void hs_start(const double *p, double *x) {", *_lines(starter, first), *_stores("x", first), "}\n",
-        "static int hs_prepare(const double *p, double *q) {", *(_line(op, graph) for op in prepared), *_stores("q", kept),
+        "static int hs_prepare(const double *p, double *q) {", *(line(op, graph) for op in prepared), *_stores("q", kept),
         "  return hs_lost(p, HS_NP);\n}\n",
         "static void hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                             const double *restrict q, double *restrict xn, double *restrict y) {",
@@ -112,10 +112,55 @@ def relations_code(step: Step) -> str:
 
 def _lines(graph: Graph, names: Sequence[str]) -> list[str]:
     """Return the lines that give prepared values."""
-    return [_line(op, graph) for op in graph.used(graph.prepared, names)]
+    return [line(op, graph) for op in graph.used(graph.prepared, names)]
 
 
-def _line(op: Op, graph: Graph) -> str:
+def _guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str]) -> list[str]:
+    """Return the lines with each table that counts on one side of a choice only, and what it alone needs, in an ``if``."""
+    guards: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
+    for op in reversed(ops):
+        here = guards[op.name]
+        sides = [here] * len(op.of)
+        if op.what in _CHOICES:
+            # The condition; what counts where it holds; what counts where it does not.
+            sides = [here, (*here, op.of[0]), (*here, f"!{op.of[0]}")]
+        for name, guard in zip(op.of, sides, strict=False):
+            guards[name] = _common(guards.get(name, guard), guard)
+    waiting = {op.name: op for op in ops}
+    looked_up = [guards[op.name] for op in ops if op.what in ("find", "table", "row")]
+    worth = {guard[:i] for guard in looked_up for i in range(len(guard) + 1)}
+    declared, written, now = list[str](), list[str](), tuple[str, ...]()
+    stack = list(waiting)[::-1]
+    while stack:
+        name = stack.pop()
+        if name not in waiting:
+            continue
+        op = waiting[name]
+        guard = next((g for i in range(len(guards[name]), 0, -1) if (g := guards[name][:i]) in worth), ())
+        # What decides is written before what it decides on.
+        if before := [other for other in (*(g.lstrip("!") for g in guard), *op.of) if other in waiting]:
+            stack += [name, *before]
+            continue
+        del waiting[name]
+        shared = len(_common(now, guard))
+        written += ["  }"] * (len(now) - shared) + [f"  if ({g}) {{" for g in guard[shared:]]
+        now = guard
+        text = line(op, graph)
+        if guard:
+            declared.append(f"  {_TYPES[op.kind]} {name};")
+            text = f"  {text.removeprefix(f'  const {_TYPES[op.kind]} ')}"
+        written.append(text)
+    return [*declared, *written, *["  }"] * len(now)]
+
+
+def _common(one: tuple[str, ...], other: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what two begin with."""
+    n = next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+    return one[:n]
+
+
+def line(op: Op, graph: Graph) -> str:
+    """Return the line of an operation."""
     if op.what == "table":
         c = f"{op.about}_at({''.join(f'{name}, ' for name in op.of)}0)"
     else:
@@ -136,44 +181,3 @@ def _stored_at_once(lines: Sequence[str], stores: Sequence[str]) -> list[str]:
     for line in lines:
         ordered += [line, *waiting.pop(line.partition(" = ")[0].rpartition(" ")[2], [])]
     return [*ordered, *(store for rest in waiting.values() for store in rest)]
-
-
-def _guarded(ops: Sequence[Op], names: Sequence[str], graph: Graph) -> list[str]:
-    """Return the lines with each table that counts on one side of a choice only, and what it alone needs, in an ``if``."""
-    guards: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
-    for op in reversed(ops):
-        here, first = guards[op.name], op.of[0] if op.of else ""
-        sides = {"choose": ("", first, f"!{first}"), "only": ("", first), "and": ("", first)}.get(op.what, ("",) * len(op.of))
-        for name, side in zip(op.of, sides, strict=True):
-            guard = (*here, side) if side else here
-            guards[name] = _common(guards.get(name, guard), guard)
-    waiting = {op.name: op for op in ops}
-    worth = {guards[op.name][:i] for op in ops if op.what in _SEARCHES for i in range(len(guards[op.name]) + 1)}
-    declared, written, now = list[str](), list[str](), tuple[str, ...]()
-    stack = list(waiting)[::-1]
-    while stack:
-        name = stack.pop()
-        if name not in waiting:
-            continue
-        op = waiting[name]
-        guard = next((g for i in range(len(guards[name]), 0, -1) if (g := guards[name][:i]) in worth), ())
-        # What decides is written before what it decides on.
-        if before := [other for other in (*(g.removeprefix("!") for g in guard), *op.of) if other in waiting]:
-            stack += [name, *before]
-            continue
-        del waiting[name]
-        shared = len(_common(now, guard))
-        written += ["  }"] * (len(now) - shared) + [f"  if ({g}) {{" for g in guard[shared:]]
-        now = guard
-        line = _line(op, graph)
-        if guard:
-            declared.append(f"  {_TYPES[op.kind]} {name};")
-            line = f"  {line[line.index(f'{name} = ') :]}"
-        written.append(line)
-    return [*declared, *written, *["  }"] * len(now)]
-
-
-def _common(one: tuple[str, ...], other: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what two begin with."""
-    n = next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
-    return one[:n]

@@ -10,12 +10,31 @@
 #define IN(set, l) ((set)[(l) / W] >> (l) % W & 1)
 
 typedef struct {
-  double state[2][HS_NX * HS_LANES], u[HS_NU * HS_LANES], y[HS_NY * HS_LANES], q[HS_NL * HS_LANES];
+  double state[2][HS_NX * HS_LANES], u[HS_NU * HS_LANES], w[HS_NW * HS_LANES], y[HS_NY * HS_LANES], q[HS_NL * HS_LANES];
   double *now, *next;
   search search[HS_LANES];
   double miss[HS_LANES]; /* the threshold of a miss */
   int unsolved[HS_LANES];
 } group;
+
+/* Ask of lane `l`, or of all. */
+static void ask(group *g, const double *u, int l, int all) {
+  double w[HS_NW];
+  hs_prepare_cycle(u, w);
+  for (int i = 0; i < HS_NU + HS_NW; ++i) {
+    double *to = i < HS_NU ? &AT(g->u, i, 0) : &AT(g->w, i - HS_NU, 0);
+    const double value = i < HS_NU ? u[i] : w[i - HS_NU];
+    if (!all) to[l] = value;
+    /* Read as vectors, they come sooner if they were written so. */
+    for (int b = 0; all && b < HS_BLOCKS; ++b) v_store(to + b * W, v_set(value));
+  }
+}
+
+/* Ask lane `l` for another speed; the controls keep what they decided. */
+static void ask_again(group *g, double v, int l) {
+  const double u[HS_NU] = {v, AT(g->u, 1, l), AT(g->u, 2, l), AT(g->u, 3, l), 1};
+  ask(g, u, l, 0);
+}
 
 /* Take the lanes of a set from one array of `n` values to another. */
 static void take(const int *of, int n, const double *from, double *to) {
@@ -31,7 +50,7 @@ static void take(const int *of, int n, const double *from, double *to) {
 /* Step with what the lanes of `tried` ask for, and keep the step of those. */
 static void try_step(group *g, const double *x, const int *tried) {
   double next[HS_NX * HS_LANES] LINED, y[HS_NY * HS_LANES] LINED;
-  hs_step_lanes(x, g->u, g->q, next, y);
+  hs_step_lanes(x, g->u, g->w, g->q, next, y);
   take(tried, HS_NX, next, g->next);
   take(tried, HS_NY, y, g->y);
 }
@@ -51,14 +70,13 @@ static void solve(group *g, const int *live, int mode) {
   if (!any) return;
   memcpy(decided, g->now, sizeof decided);
   for (const int *d = hs_decisions; *d >= 0; ++d) memcpy(&AT(decided, *d, 0), &AT(g->next, *d, 0), HS_LANES * sizeof(double));
-  for (int l = 0; l < HS_LANES; ++l) AT(g->u, 4, l) = 1;
   for (;;) {
     int tried[HS_BLOCKS] = {0};
     any = 0;
     for (int l = 0; l < HS_LANES; ++l) {
       search *t = g->search + l;
       if (!IN(sought, l) || !search_next(t, 0)) continue;
-      AT(g->u, 0, l) = t->sign * t->next;
+      ask_again(g, t->sign * t->next, l);
       tried[l / W] |= 1 << l % W;
       any = 1;
     }
@@ -73,7 +91,7 @@ static void solve(group *g, const int *live, int mode) {
   for (int l = 0; l < HS_LANES; ++l) {
     if (!IN(sought, l) || search_end(g->search + l, AT(g->next, HS_X_V, l))) continue;
     /* No speed is reached at all: the plain step is kept. */
-    AT(g->u, 0, l) = v[l];
+    ask_again(g, v[l], l);
     failed[l / W] |= 1 << l % W;
     ++g->unsolved[l];
     any = 1;
@@ -156,25 +174,20 @@ static void march_some(const batch *b, long at) {
   for (int i = 0; i < HS_MIN * HS_LANES; ++i) min[i] = HUGE_VAL;
   for (long k = 0; k < longest; ++k) {
     int ends[HS_BLOCKS] = {0}, any = 0;
-    for (int l = 0; l < HS_LANES; ++l) {
-      if (shared && l) {
-        for (int i = 0; i < HS_NU; ++i) AT(g.u, i, l) = AT(g.u, i, 0);
-        ends[l / W] |= (ends[0] & 1) << l % W;
-        continue;
-      }
+    for (int l = 0; l < (shared ? 1 : HS_LANES); ++l) {
       const trace *t = c[l];
       const long j = k < t->n ? k : t->n - 1;
-      AT(g.u, 0, l) = t->v[j];
-      AT(g.u, 1, l) = t->n_grade ? grade_at(AT(g.now, HS_X_DISTANCE, l), t->n_grade, t->grade_distance, t->grade_value) : t->grade[j];
-      AT(g.u, 2, l) = t->key_on[j];
-      AT(g.u, 3, l) = t->dt[j];
-      AT(g.u, 4, l) = 0;
+      const double distance = AT(g.now, HS_X_DISTANCE, l);
+      const double grade = t->n_grade ? grade_at(distance, t->n_grade, t->grade_distance, t->grade_value) : t->grade[j];
+      const double u[HS_NU] = {t->v[j], grade, t->key_on[j], t->dt[j], 0};
+      ask(&g, u, l, shared);
       if (k == t->n - 1) ends[l / W] |= 1 << l % W, any = 1;
       if (k >= t->n) live[l / W] &= ~(1 << l % W);
     }
+    for (int n = 0; shared && any && n < HS_BLOCKS; ++n) ends[n] = live[n];
     /* A speed that was solved for was reached: the step after it has nothing to estimate. */
     for (int l = 0; b->mode != HYBRID && l < HS_LANES; ++l) AT(g.now, HS_X_MISSED, l) = 0;
-    hs_step_lanes(g.now, g.u, g.q, g.next, g.y);
+    hs_step_lanes(g.now, g.u, g.w, g.q, g.next, g.y);
     if (b->mode != HYBRID) solve(&g, live, b->mode);
     if (k % 16 == 15) note_lost(&g, live, k, lost);
     else if (any) note_lost(&g, ends, k, lost);

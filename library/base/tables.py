@@ -184,8 +184,17 @@ def axis_source(name: str, points: npt.NDArray[np.float64]) -> str:
     A small index over equal bins tells where to start.  One comparison finishes the search, without a branch that may be foreseen
     wrongly, where no bin holds more than one point; else a loop does.
     """
-    bins, start, single = axis_bins(points)
-    last = len(points) - 2
+    last, span = len(points) - 2, points[-1] - points[0]
+
+    def index(bins: int) -> tuple[npt.NDArray[np.intp], bool]:
+        """Return the interval to start from in each bin, and whether one comparison is enough."""
+        edges = points[0] + span * np.arange(bins + 1) / bins
+        # Rounding may put a number just beyond an edge into the next bin: begin and end a hair outside.
+        low, high = (np.clip(np.searchsorted(points, edges + hair, side="right") - 1, 0, last) for hair in (-1e-9 * span, 1e-9 * span))
+        return low[:-1], bool(np.all(high[1:] - low[:-1] <= 1))
+
+    bins = next((n for n in (4 * len(points), 8 * len(points), 16 * len(points)) if index(n)[1]), 4 * len(points))
+    start, single = index(bins)
     loop = f"""  int i = !(b > 0) ? 0 : b < {bins} ? {name}_b[(int)b] : {last};
   while (i < {last} && x >= {name}_x[i + 1]) ++i;
   return i;"""
@@ -198,24 +207,9 @@ static const double {name}_x[] = {_numbers(points)};
 static const double {name}_s[] = {_numbers(1.0 / np.diff(points))};
 static const unsigned short {name}_b[] = {{{", ".join(str(int(i)) for i in start)}}};
 static inline int {name}_find(double x) {{
-  double b = (x - {float(points[0]).hex()}) * {float(bins / (points[-1] - points[0])).hex()};
+  double b = (x - {float(points[0]).hex()}) * {float(bins / span).hex()};
 {straight if single else loop}
 }}"""
-
-
-def axis_bins(points: npt.NDArray[np.float64]) -> tuple[int, npt.NDArray[np.intp], bool]:
-    """Return into how many equal bins an axis is cut, where the search begins in each, and whether one comparison finishes it."""
-    last, span = len(points) - 2, points[-1] - points[0]
-
-    def index(bins: int) -> tuple[npt.NDArray[np.intp], bool]:
-        """Return the interval to start from in each bin, and whether one comparison is enough."""
-        edges = points[0] + span * np.arange(bins + 1) / bins
-        # Rounding may put a number just beyond an edge into the next bin: begin and end a hair outside.
-        low, high = (np.clip(np.searchsorted(points, edges + hair, side="right") - 1, 0, last) for hair in (-1e-9 * span, 1e-9 * span))
-        return low[:-1], bool(np.all(high[1:] - low[:-1] <= 1))
-
-    bins = next((n for n in (4 * len(points), 8 * len(points), 16 * len(points)) if index(n)[1]), 4 * len(points))
-    return bins, *index(bins)
 
 
 def clip_source(x: str, points: npt.NDArray[np.float64]) -> str:
