@@ -53,8 +53,8 @@ _FLAGS = {"not": 1, "and": 2, "or": 2, "only": 1, "choose": 1}
 
 #: About how many cycles an operation takes until its value is there, where it is not four.
 _CYCLES = {
-    "div": 24, "inv": 24, "sqrt": 32, "find": 25, "table": 14, "row": 40, "place": 11, "clip": 9, "sign": 9, "choose": 2, "only": 2, "and": 1,
-    "or": 1, "not": 1,
+    "div": 24, "inv": 24, "sqrt": 32, "find": 25, "table": 14, "row": 40, "place": 11, "clip": 9, "sign": 9, "choose": 2, "only": 2,
+    "and": 1, "or": 1, "not": 1,
 }  # fmt: skip
 _TYPES = {"number": "vd", "flag": "vm", "interval": "vi"}
 
@@ -198,7 +198,7 @@ class _Writer:
         if op.what == "clip":
             return f"v_clip({self._number(op.of[0], block)}, {op.of[1]}, {op.of[2]})"
         if op.what == "div":
-            return self._quotient(*op.of, block)
+            return self._quotient(op.of[0], op.of[1], block)
         of = [self._flag(name, block) if k < n_flags else self._number(name, block) for k, name in enumerate(op.of)]
         return _C[op.what].format(*of) if op.what in _C else f"v_{op.what}({', '.join(of)})"
 
