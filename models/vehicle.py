@@ -82,6 +82,10 @@ class Vehicle:
         object.__setattr__(self, "source", cleaned(self.source))
         object.__setattr__(self, "parameters", _parameter_sets(self))
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs; what was worked out of it may hold functions, which cannot be sent."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
     def __repr__(self) -> str:
         """Return name, powertrain and mass."""
         return f"<Vehicle {self.name}: {self.powertrain}, {self.mass:g} kg, {len(self.parts)} parts>"

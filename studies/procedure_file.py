@@ -38,7 +38,8 @@ import numpy as np
 from halfshaft.cosim.cycle import Array, Cycle
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import Spec
-from halfshaft.library.files.component_file import Reader, shown
+from halfshaft.library.files.component_file import LARGEST, Reader, shown
+from halfshaft.library.files.texts import read_text
 from halfshaft.studies.conditions import PLACES, Place
 
 Kind: TypeAlias = Literal["fuel", "hybrid", "plug-in", "electric"]
@@ -135,6 +136,11 @@ def procedure_names() -> list[str]:
     return sorted(_library())
 
 
+def procedure_texts() -> dict[str, str]:
+    """Return the texts of the library's procedures by name."""
+    return {name: path.read_text(encoding="utf-8") for name, path in _library().items()}
+
+
 @cache
 def _library() -> dict[str, Traversable]:
     folder = files("halfshaft.studies") / "data" / "procedures"
@@ -154,7 +160,12 @@ class _Reader(Reader):
 
     def plan(self) -> Plan:
         """Return what the file says."""
-        data = self.toml(self.path, ["procedure"], {"tests": dict, "combined": dict, "utility": dict, "report": list, "grid": dict})
+        data = self.toml(
+            str(self.path),
+            read_text(self.path, LARGEST),
+            ["procedure"],
+            {"tests": dict, "combined": dict, "utility": dict, "report": list, "grid": dict},
+        )
         self.required(data, ("source", "tests"), "")
         tests = [self.test(name, x, f"tests.{name}.") for name, x in data.get("tests", {}).items()]
         if "tests" in data and not tests:
@@ -270,7 +281,7 @@ class _Reader(Reader):
         least, most = (self.number(data.get(n, x), COUNT, where + n) for n, x in (("at_least", 1), ("at_most", 100)))
         if most < least:
             self.problems.append(f"{where}at_most = {most:g} is below at_least = {least:g}")
-        if any(x != x or x != int(x) for x in (least, most)):
+        if not all(math.isfinite(x) and x == int(x) for x in (least, most)):
             self.problems.append(f"{where}at_least and at_most must be whole numbers")
             least = most = 1
         pause = self.number(data.get("pause", "0 s"), SECONDS, f"{where}pause")

@@ -18,11 +18,17 @@ from halfshaft.cosim.ways import Mode
 if TYPE_CHECKING:
     import xarray as xr
 
+    from halfshaft.studies.task import Task
+
 Kind: TypeAlias = Literal["lines", "contours", "slices", "tornado", "indices"]
 #: At most so many points are printed one by one, and so many failures named.
 ROWS, FAILURES = 40, 5
 #: What is printed of the figures unless others are asked for.
-MAIN = ("fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km", "energy_Wh_per_km", "soc_end", "trace_miss_max_mps")
+TESTS = ("acceleration", "gradeability", "top-speed")
+MAIN = (
+    "time_0_to_100_kmh_s", "grade_percent", "top_speed_mps", "fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km",
+    "energy_Wh_per_km", "soc_end", "trace_miss_max_mps",
+)  # fmt: skip
 
 
 @app.command(
@@ -37,6 +43,7 @@ MAIN = ("fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km", "energy_Wh_pe
       halfshaft sweep small-car-electric --cycle udds --axis body.m=1000..1600:7 --plot mass.png
       halfshaft sweep small-car-electric --cycle udds --axis motor.P_max="50..100 kW:6" --axis motor=ac-75kw,ac-83kw
       halfshaft sweep small-car-series small-car-parallel --cycle udds --cycle hwfet --axis body.c_d=0.25,0.3,0.35 --json
+      halfshaft sweep small-car-parallel --cycle udds --correction zero-delta --test acceleration --axis engine.P_max="40..80 kW:5"
       halfshaft sweep small-car-series --cycle us06 --axis body.m=1000..1600 --axis body.c_d=0.2..0.4 --sample sobol:64 --out study
     """,
 )
@@ -44,6 +51,13 @@ def _sweep(
     vehicles: VehicleNames,
     axis: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUES", help="What varies; repeatable.")] = None,
     cycle: CycleNames = None,
+    test: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEST", help="acceleration, gradeability, top-speed, a procedure or its TOML file; repeatable."),
+    ] = None,
+    correction: Annotated[
+        Literal["zero-delta", "linear"] | None, typer.Option(help="Drive the cycles so that a hybrid keeps its charge.")
+    ] = None,
     sample: Annotated[
         str | None, typer.Option(metavar="KIND:N", help="Draw N points, lhs:N or sobol:N; saltelli:N for Sobol's indices.")
     ] = None,
@@ -70,6 +84,7 @@ def _sweep(
     from halfshaft.studies.design import read_axes
     from halfshaft.studies.effects import Constraint, kind_problems
     from halfshaft.studies.job import FAILURE
+    from halfshaft.studies.soc_correction import Linear, ZeroDelta
     from halfshaft.studies.sweep import sweep, table
     from halfshaft.studies.task import Drive
 
@@ -79,8 +94,11 @@ def _sweep(
     for trace in traces:
         checks.step(dt, trace)
     axes = read_axes(axis or (), checks.problem)
-    if not traces:
-        checks.problem("nothing to do: name a cycle, such as --cycle udds")
+    tests = [checks.take(partial(_test, name)) for name in test or ()]
+    if not (traces or tests):
+        checks.problem("nothing to do: name a cycle or a test, such as --cycle udds or --test acceleration")
+    if correction is not None and not traces:
+        checks.problem(f"--correction {correction} goes with --cycle")
     checks.folder(out, "--out")
     checks.target(plot, "--plot")
     limits = [checks.take(partial(Constraint.read, text)) for text in constraint or ()]
@@ -94,7 +112,9 @@ def _sweep(
             checks.problem(*(f"--kind {p}" for p in kind_problems(kind, sum("." in name for name in axes), sample is not None)))
     checks.raise_problems()
     found_cars = [car for car in cars if car is not None]
-    tasks = [Drive(trace, mode, dt) for trace in traces if trace is not None]
+    drives = {None: Drive, "zero-delta": ZeroDelta, "linear": Linear}
+    tasks: list[Any] = [drives[correction](cycle=trace, mode=mode, dt=dt) for trace in traces if trace is not None]
+    tasks += [task for task in tests if task is not None]
     # A constraint on what no point has is said before the sweep runs, not when it is drawn.
     needed = [*response, *(limit.name for limit in limits if limit is not None)] if response else []
     title = f"{', '.join(car.name for car in found_cars)} over {', '.join(task.name for task in tasks)}"
@@ -124,6 +144,17 @@ def _sweep(
         print_written(out, plot)
 
 
+def _test(name: str) -> Task:
+    """Return a test by its name, as `halfshaft test` runs it where nothing else is said."""
+    from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
+    from halfshaft.studies.gradeability import GradeabilityTest
+    from halfshaft.studies.procedure import Procedure
+
+    if name == "acceleration":
+        return AccelerationTest(pairs=((0, 50), (0, 100), (80, 120)), unit="km/h")
+    return {"gradeability": GradeabilityTest, "top-speed": TopSpeedTest}[name]() if name in TESTS else Procedure.load(name)
+
+
 def _print(title: str, found: xr.Dataset, responses: Sequence[str]) -> None:
     """Print the points one by one, or where each response is lowest and highest if they are many."""
     from halfshaft.studies.job import FAILURE
@@ -139,7 +170,8 @@ def _print(title: str, found: xr.Dataset, responses: Sequence[str]) -> None:
     shown = new_table()
     if total <= ROWS:
         for name in (*axes, *responses):
-            shown.add_column(escape(heads[name]), justify="left" if isinstance(columns[name][0], str) else "right")
+            head = heads[name] if name in axes else "\n".join(heads[name].rsplit(".", 1))
+            shown.add_column(escape(head), justify="left" if isinstance(columns[name][0], str) else "right", overflow="fold")
         for i in range(total):
             shown.add_row(*(_cell(columns[name][i]) for name in (*axes, *responses)), style="dim" if i in failures else None)
     else:

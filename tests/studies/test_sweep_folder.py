@@ -72,7 +72,7 @@ def refused(path, axes=None, tasks=None, **kwargs):
 
 
 def children(pid):
-    return [int(x) for x in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [int(x) for thread in Path(f"/proc/{pid}/task").glob("*/children") for x in thread.read_text().split()]
 
 
 def runs(pid):
@@ -86,7 +86,8 @@ def test_a_sweep_that_was_killed_or_interrupted_goes_on_and_ends_as_if_it_had_no
     path = tmp_path / "study"
     cycle = Cycle.load("nycc")
     killed = begun(path, 2, tmp_path)
-    workers = children(killed.pid)
+    while not (workers := children(killed.pid)) and killed.poll() is None:
+        time.sleep(0.01)
     (problem,) = refused(path, tasks=Drive(cycle))
     assert problem == f"another process works in it (process {killed.pid} on {os.uname().nodename}); wait for it, or stop it"
     killed.kill()
