@@ -15,7 +15,7 @@
    quotient that is as large as the least that is sound. */
 #define HS_NEAR 0x1p100
 #define HS_TINY 0x1p-1074
-#define HS_LEAST 0x1p-50
+#define HS_LEAST 0x1p-48
 
 static inline double hs_inverse(double b) {
   const int special = b == 0 || !(fabs(b) <= 0x1.fffffffffffffp1023);
