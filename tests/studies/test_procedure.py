@@ -110,7 +110,7 @@ def test_nedc_of_a_hybrid_is_its_zero_delta_run():
 
 def test_the_utility_factor_weights_round_by_round():
     found = Procedure.load("wltp")(PLUG_IN)
-    depleting, plan = found.tests["depleting"], Plan.load("wltp").utility["weighted"]
+    depleting, plan = found.tests["depleting"], Plan.load("wltp").utility
     kept = found.figures["sustaining_fuel_economy_L_per_100km"]
     litres, before = 0.0, 0.0
     for distance, consumption in depleting.rounds:
@@ -129,9 +129,14 @@ def test_the_utility_factor_weights_round_by_round():
 
 def test_points_of_the_utility_factor_of_the_wltp_follow_its_formula():
     c = (26.25, -38.94, -631.05, 5964.83, -25095, 60380.2, -87517, 75513.8, -35749, 7154.94)
-    u = Plan.load("wltp").utility["weighted"]
+    u = Plan.load("wltp").utility
     for d, share in zip(u.distance, u.share, strict=True):
         assert share == pytest.approx(1 - np.exp(-sum(x * (d / 800e3) ** i for i, x in enumerate(c, 1))), abs=1e-5)
+
+
+def test_half_of_all_driving_lies_within_39_miles():
+    u = Plan.load("j1711").utility
+    assert u(np.array([38.9, 196.0]) * M_PER_MILE) == pytest.approx([0.5, 0.9])
 
 
 def test_j1711_of_a_plug_in_hybrid():
@@ -251,9 +256,13 @@ repeat = {until = "tired", at_least = 5, at_most = 2}
 drive = []
 [combined.city]
 town = 1
-[utility.u]
+[weighted.u]
 depleting = "city"
 sustaining = "nothing"
+[weighted.w]
+depleting = "city"
+sustaining = "far"
+[utility]
 distance = {unit = "km", values = [0, 10, 5]}
 share = [0, 0.5, 2]
 """,
@@ -279,9 +288,9 @@ share = [0, 0.5, 2]
         "combined.city.town is not known",
         "combined.city has no share above 0",
         "city is the name of 2 things",
-        'utility.u.sustaining = "nothing"',
+        'weighted.u.sustaining = "nothing"',
         "that test is not repeated",
-        "utility.u.share[3] = 2",
+        "utility.share[3] = 2",
     ):
         assert said in text, f"{said}\n\n{text}"
 
@@ -291,7 +300,7 @@ def test_wrong_kinds_of_things_are_refused(tmp_path):
         "[tests]\n", "tests = 3\n", "[tests]\na = 1\n", "[tests.a]\ndrive = 3\n", "[tests.a]\ndrive = [1]\n",
         "[tests.a]\nsoc = []\ndrive = [{cycle = 1}]\n", "[tests.a]\nrepeat = 1\ndrive = [{cycle = 'udds', from = 'nan s'}]\n",
         "[tests.a]\nvehicles = 1\ndrive = [{cycle = 'udds', bag = 3}]\n",
-        "combined = {b = {}}\nutility = {c = 1}\n[tests.a]\ndrive = [{soak = '5 s'}]\n",
+        "combined = {b = {}}\nweighted = {c = 1}\n[tests.a]\ndrive = [{soak = '5 s'}]\n",
         "grid = 5\n[tests.a]\ndrive = [{cycle = 'udds'}]\n",
     ):  # fmt: skip
         assert problems(tmp_path, body)
