@@ -127,6 +127,21 @@ def test_the_utility_factor_weights_round_by_round():
     assert found.figures["depleting_range_m"] == pytest.approx(depleting.rounds[-1][0], rel=1e-6)
 
 
+def test_a_battery_is_depleted_until_it_gives_less_than_4_percent_of_what_a_cycle_takes():
+    tested = Procedure.load("wltp")(PLUG_IN).tests["depleting"]
+    r, whole = tested.result, 1800 + 600
+    v = np.concatenate([[0.0], r.the("speed")])
+    shares = []
+    for start in range(0, len(r.time), whole):
+        steps = range(start, start + 1800)
+        stored = sum(r["battery.P_stored"][k] for k in steps)
+        driven = sum(max(r["body.F_required"][k], 0) * (v[k] + v[k + 1]) / 2 for k in steps)
+        shares.append(abs(stored) / driven)
+    first = next(k for k, share in enumerate(shares) if share < 0.04)
+    assert shares[first - 1] > 0.1
+    assert tested.figures["rounds"] == first
+
+
 def test_points_of_the_utility_factor_of_the_wltp_follow_its_formula():
     c = (26.25, -38.94, -631.05, 5964.83, -25095, 60380.2, -87517, 75513.8, -35749, 7154.94)
     u = Plan.load("wltp").utility
@@ -155,12 +170,26 @@ def test_j1711_of_a_plug_in_hybrid():
     assert plain["city_weighted_fuel_economy_L_per_100km"] == plain["city_fuel_economy_L_per_100km"]
 
 
+def test_a_test_is_driven_at_least_so_often(tmp_path):
+    body = '[tests.far]\nsoc = 0.1\nrepeat = {until = "engine", at_least = 3, at_most = 9}\ndrive = [{cycle = "nycc"}]\n'
+    found = Procedure.load(written(tmp_path, body))(PLUG_IN)
+    assert found.figures["far_rounds"] == 3
+    assert all(c.fuel > 0 for _, c in found.tests["far"].rounds)
+
+
+def test_electricity_counts_33_705_kwh_a_gallon():
+    found = Procedure.load("city-highway")(ELECTRIC).figures
+    kWh_per_mile = found["combined_energy_kWh_per_100km"] / 100 * M_PER_MILE / 1e3
+    assert found["combined_energy_MPGe"] == pytest.approx(33.705 / kWh_per_mile, rel=1e-12)
+
+
 def test_a_warm_up_does_not_count():
     tested = Procedure.load("j1711")(PARALLEL).tests["highway"]
     r = tested.result
     soc = np.concatenate([[r.first["battery.soc"]], r["battery.soc"]])
     assert tested.figures["soc_change"] == pytest.approx(soc[-1] - soc[765 + 15], abs=1e-12)
     assert tested.figures["soc_change"] != pytest.approx(soc[-1] - soc[0], abs=1e-4)
+    assert tested.search.record[-1].change == tested.figures["soc_change"]
     distance = r.the("distance")
     assert tested.figures["distance_m"] == pytest.approx(distance[-1] - distance[765 + 15 - 1], rel=1e-12)
     assert not r["engine.fuel_flow"][766:780].any()
