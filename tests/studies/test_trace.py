@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from halfshaft import Cycle, Vehicle, run
-from halfshaft.studies.trace import Driven, miss_figures, j2951_figures, road_load, trace_figures
+from halfshaft.studies.trace import Driven, j2951_figures, miss_figures, road_load, trace_figures
 
 MASS, ROAD = 1500.0, (100.0, 1.0, 0.5)
 T = np.arange(0.0, 61.0)
