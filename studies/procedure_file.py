@@ -39,6 +39,7 @@ from halfshaft.cosim.cycle import Array, Cycle
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import Spec
 from halfshaft.library.files.component_file import LARGEST, Reader, shown
+from halfshaft.library.files.texts import read_text
 from halfshaft.studies.conditions import PLACES, Place
 
 Kind: TypeAlias = Literal["fuel", "hybrid", "plug-in", "electric"]

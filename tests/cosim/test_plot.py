@@ -66,6 +66,14 @@ def test_the_grade_is_that_of_the_road():
     assert np.allclose(line.get_ydata()[there], 100 * np.interp(before, *road)[there], atol=1e-6)
 
 
+def test_the_grades_of_two_runs_have_the_colours_of_the_runs():
+    runs = [done(car, "hwfet-mtn") for car in ("small-car-series", "small-car-series-follower")]
+    (ax,) = plot_run(*runs, panels="grade").axes
+    assert [line.get_color() for line in ax.lines[:2]] == list(COLOURS[:2])
+    # The axis is at level road.
+    assert ax.lines[2].get_ydata() == [0, 0]
+
+
 def test_runs_over_each_other_have_one_line_each_and_their_names():
     runs = [done("small-car-electric"), done("small-car-series"), done("small-car-conventional")]
     figure = plot_run(*runs)
