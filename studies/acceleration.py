@@ -20,6 +20,7 @@ import numpy as np
 
 from halfshaft.cosim.compiled import Array, Mode
 from halfshaft.cosim.cycle import acceleration_cycle
+from halfshaft.cosim.remarks import acted
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run
 from halfshaft.cosim.units import M_PER_MILE
@@ -35,6 +36,8 @@ DT = 0.1
 
 #: Time that the request is held at first, and at most [s]; each try holds it four times as long as the one before.
 DURATIONS = (50.0, 200.0, 800.0, 3200.0)
+#: The request is not held longer [s].
+LONGEST = 1e5
 #: A vehicle that gains no more than this over the last tenth of a run gets no faster [m/s].
 STEADY = 0.05
 #: The same where the top speed is what is asked for [m/s].
@@ -185,7 +188,7 @@ class AccelerationTest(Conditions):
         Both shift in 0.2 s; that of ``1999`` also lets the clutch slip up to 0.4 of the engine's highest speed, and no hybrid drive
         off electrically by choice.
     mode
-        How the steps are solved; without it refined, or hybrid where there is no compiler.
+        How the steps are solved; without it refined, or hybrid where there is no compiler or the battery rests.
     duration
         Time until which the request is held [s].  Without it 50 s, and longer while something is still to be reached.
 
@@ -209,10 +212,12 @@ class AccelerationTest(Conditions):
             return [*problems, f"unit = {self.unit!r}, must be {' or '.join(IN_MPS)}"]
         highest = REQUEST / IN_MPS[self.unit]
         for low, high in self.pairs:
-            if not 0 <= low < high < highest:
-                problems.append(f"speeds {low:g} to {high:g} {self.unit}, must rise from >= 0 to < {highest:.0f} {self.unit}")
+            if not 0 <= number(low) < number(high) < highest:
+                problems.append(f"speeds {low} to {high} {self.unit}, must rise from >= 0 to < {highest:.0f} {self.unit}")
         for what, unit, values in (("time", "s", self.within), ("distance", "m", self.over)):
-            problems += [f"{what} {x:g} {unit}, must be > 0 {unit} and finite" for x in values if not 0 < x < math.inf]
+            problems += [f"{what} {x} {unit}, must be > 0 {unit} and finite" for x in values if not 0 < number(x) < math.inf]
+        if self.duration is not None and not T_START < number(self.duration) <= LONGEST:
+            problems.append(f"duration = {self.duration} s, must be > {T_START:g} s and <= {LONGEST:g} s")
         return problems
 
     def __call__(self, vehicle: Vehicle) -> Accelerated:
@@ -226,7 +231,7 @@ class AccelerationTest(Conditions):
         """
         old = self.routine == "1999"
         car = self.applied(vehicle, "high" if old else "middle", more=shifting(vehicle) | (launching(vehicle) if old else {}))
-        mode, highest = best_mode(car, self.mode), max((high for _, high in self.pairs), default=0.0) * IN_MPS[self.unit]
+        mode, highest = self.solved(car, self.mode), max((high for _, high in self.pairs), default=0.0) * IN_MPS[self.unit]
 
         def done(result: Result) -> bool:
             driven, held = float(travelled(result)[-1]), float(result.time[-1]) - T_START
@@ -245,7 +250,7 @@ class AccelerationTest(Conditions):
             figures[f"time_over_{s:g}_m_s"] = float(np.interp(s, way, time)) - T_START if way[-1] >= s else None
         figures["acceleration_max_mps2"] = float(np.diff(result.the("speed"), prepend=0.0).max() / DT)
         figures["speed_max_mps"] = result.highest[result.tags.the("speed")]
-        return Accelerated(figures, result, result.warnings)
+        return Accelerated(figures, result, acted(result))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +262,7 @@ class TopSpeedTest(Conditions):
     Parameters
     ----------
     mode
-        How the steps are solved; without it refined, or hybrid where there is no compiler.
+        How the steps are solved; without it refined, or hybrid where there is no compiler or the battery rests.
 
     """
 
@@ -274,13 +279,13 @@ class TopSpeedTest(Conditions):
 
         """
         car = self.applied(vehicle, "middle", more=shifting(vehicle))
-        result = full_effort(car, best_mode(car, self.mode), lambda _: False, steady=STEADIEST, key_on=self.resting != "converter")
+        result = full_effort(car, self.solved(car, self.mode), lambda _: False, steady=STEADIEST, key_on=self.resting != "converter")
         v = result.the("speed")
         i = int(v.argmax())
         figures = {"top_speed_mps": float(v[i]), "reached_after_s": float(result.time[i]) - T_START}
         lost = v[i] - v[-1]
         notes = (f"not held: {lost * 3.6:.3g} km/h slower at the end of {result.time[-1]:g} s",) if lost > STEADY else ()
-        return Accelerated(figures, result, (*notes, *result.warnings))
+        return Accelerated(figures, result, (*notes, *acted(result)))
 
 
 def travelled(result: Result) -> Array:

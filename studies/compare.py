@@ -154,6 +154,12 @@ class Comparison:
 
         return plot_points(*self.results, parts=parts, labels=self.labels, units=units, path=path)
 
+    def plot_flows(self, *, path: str | Path | None = None) -> Picture:
+        """Draw where the energy of each run flowed, to the same scale."""
+        from halfshaft.cosim.flow_plot import plot_flows
+
+        return plot_flows(*self.results, labels=self.labels, path=path)
+
     def _repr_html_(self) -> str:
         made, found = self.tables()
         head = ("", *self.labels)

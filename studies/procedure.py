@@ -68,6 +68,8 @@ class Outcome:
         By the names of tests and of what combines them, ``city_fuel_economy_mpg``; those to report come first.
     tests
         The tests that were driven.
+    reported
+        Names of the figures to report.
     notes
         What a user should know.
 
@@ -76,6 +78,7 @@ class Outcome:
     figures: Mapping[str, float | None]
     tests: Mapping[str, Tested]
     notes: tuple[str, ...] = ()
+    reported: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ class Procedure:
         if unknown:
             raise InputError(f"procedure '{self.name}'", [f"report: no figure is called {x}{nearest(x, figures)}" for x in unknown])
         notes = (f"{name}: {note}" for name, tested in tests.items() for note in tested.notes)
-        return Outcome({name: figures[name] for name in (*reported, *figures)}, tests, tuple(notes))
+        return Outcome({name: figures[name] for name in (*reported, *figures)}, tests, tuple(notes), tuple(reported))
 
     def _tested(self, vehicle: Vehicle, test: Test) -> Tested:
         """Return what a test finds."""
@@ -190,11 +193,11 @@ class Procedure:
                     # The round that shows that the charge is kept depletes nothing.
                     last = found if repeat.until == "sustaining" and found > 0 else found + 1
                     kept = [span for span in spans if span.round < last]
-                    return result, kept, {"rounds": float(last), "depleting_range_m": bags.distance_by(kept[-1].end)}, ()
+                    return result, kept, {"rounds": float(last), "range_m": bags.distance_by(kept[-1].end)}, ()
             if n >= repeat.at_most:
                 what = {"empty": "empty", "engine": "never helped by its engine", "sustaining": "still used up"}[repeat.until]
                 note = f"after {n} rounds the battery is {'not ' if repeat.until == 'empty' else ''}{what}"
-                more = {"range_m" if repeat.until == "empty" else "depleting_range_m": None, "rounds": float(n)}
+                more = {"range_m": None, "rounds": float(n)}
                 return result, spans, more, (note,)
             n = min(2 * n, repeat.at_most)
 

@@ -136,6 +136,11 @@ def procedure_names() -> list[str]:
     return sorted(_library())
 
 
+def procedure_texts() -> dict[str, str]:
+    """Return the texts of the library's procedures by name."""
+    return {name: path.read_text(encoding="utf-8") for name, path in _library().items()}
+
+
 @cache
 def _library() -> dict[str, Traversable]:
     folder = files("halfshaft.studies") / "data" / "procedures"
@@ -276,7 +281,7 @@ class _Reader(Reader):
         least, most = (self.number(data.get(n, x), COUNT, where + n) for n, x in (("at_least", 1), ("at_most", 100)))
         if most < least:
             self.problems.append(f"{where}at_most = {most:g} is below at_least = {least:g}")
-        if any(x != x or x != int(x) for x in (least, most)):
+        if not all(math.isfinite(x) and x == int(x) for x in (least, most)):
             self.problems.append(f"{where}at_least and at_most must be whole numbers")
             least = most = 1
         pause = self.number(data.get("pause", "0 s"), SECONDS, f"{where}pause")

@@ -48,17 +48,19 @@ def advisor_figures(driven: Driven) -> dict[str, float]:
     """Return the five numbers of ADVISOR; each point weighs half of the steps beside it.
 
     They are the mean miss and the largest one, the share of time in which it is above 2 mph, and the largest miss over the largest speed
-    asked for, and over that at the same time.
+    asked for, and over that at the same time; of both largest ones also when they were.
     """
     miss, dt = np.abs(driven.target - driven.v), np.diff(driven.t)
+    share = np.divide(miss, driven.target, out=np.zeros_like(miss), where=driven.target != 0)
     weight = (np.append(dt, 0.0) + np.append(0.0, dt)) / 2
-    asked = driven.target != 0
     return {
         "trace_miss_mean_mps": float(np.average(miss, weights=weight)),
         "trace_miss_time_percent": 100 * float(weight[miss > ALLOWED].sum() / weight.sum()),
         "trace_miss_max_mps": float(miss.max()),
+        "trace_miss_max_at_s": float(driven.t[miss.argmax()]),
         "trace_miss_of_top_speed_percent": 100 * float(miss.max() / max(driven.target.max(), 1e-12)),
-        "trace_miss_of_speed_percent": 100 * float((miss[asked] / driven.target[asked]).max(initial=0.0)),
+        "trace_miss_of_speed_percent": 100 * float(share.max()),
+        "trace_miss_of_speed_at_s": float(driven.t[share.argmax()]),
     }
 
 

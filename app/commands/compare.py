@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -25,13 +26,15 @@ if TYPE_CHECKING:
     "compare",
     help="""Put vehicles, or runs that were saved, beside each other.
 
-    A vehicle is a name or a TOML file, and may have numbers set: NAME@body.m=1500@motor.torque_scale=1.2. A saved run is
-    the .nc file of "halfshaft run --out".
+    A vehicle is a name or a TOML file, and may have numbers set behind it:
+    NAME@body.m=1500@motor.torque_scale=1.2. A saved run is a file of
+    "halfshaft run --out".
 
     \b
     Examples:
       halfshaft compare small-car-electric small-car-series --cycle us06
-      halfshaft compare small-car-electric small-car-electric@body.m=1500 --cycle udds --plot both.png --output battery.T
+      halfshaft compare my-car.toml my-car.toml@body.m=1500 --cycle udds
+      halfshaft compare a.nc b.nc --plot both.png --output battery.T
       halfshaft compare before.nc after.nc --bars bars.png --json
     """,
 )
@@ -48,6 +51,7 @@ def _compare(
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the runs over each other (.png, .svg, .pdf).")] = None,
     bars: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the main numbers as bars.")] = None,
     points: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the operating points of machines on their maps.")] = None,
+    flows: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw where the energy of each flowed.")] = None,
     csv: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the main numbers to a CSV file.")] = None,
     units: Shown = "metric",
     as_json: Json = False,
@@ -68,7 +72,7 @@ def _compare(
     if output and plot is None:
         checks.problem("--output goes with --plot")
     checks.step(dt, trace)
-    for option, picture in (("--plot", plot), ("--bars", bars), ("--points", points)):
+    for option, picture in (("--plot", plot), ("--bars", bars), ("--points", points), ("--flows", flows)):
         checks.picture(picture, option)
     checks.target(csv, "--csv")
     checks.raise_problems()
@@ -80,6 +84,8 @@ def _compare(
         both.plot_metrics(units=units, path=bars)
     if points is not None:
         both.plot_points(units=units, path=points)
+    if flows is not None:
+        both.plot_flows(path=flows)
     if csv is not None:
         from halfshaft.library.files.writing import written_whole
 
@@ -97,7 +103,7 @@ def _compare(
     for label, result in zip(both.labels, both.results, strict=True):
         for text in remarks(result, units):
             print_line(f"  ! {label}: {text}", "yellow")
-    print_written(plot, bars, points, csv)
+    print_written(plot, bars, points, flows, csv)
 
 
 def _thing(text: str) -> Vehicle | Result:
@@ -106,14 +112,15 @@ def _thing(text: str) -> Vehicle | Result:
     from halfshaft.cosim.result import Result
     from halfshaft.models.vehicle import Vehicle
 
-    name, *given = text.split("@")
+    # A name of a file may have the sign too.
+    name, *given = re.split(r"@(?=[\w.]+\s*=)", text)
     if name.lower().endswith(".nc"):
         if given:
             raise HalfshaftError(f"{text}: no numbers can be set in a run that was made")
         return Result.load(name)
     pairs = [(key.strip(), sign, value.strip()) for key, sign, value in (part.partition("=") for part in given)]
     if not all(key and sign and value for key, sign, value in pairs):
-        raise HalfshaftError(f"{text}: must be NAME or NAME@body.m=1500, with a number or a number with its unit")
+        raise HalfshaftError(f"{text}: must be NAME or NAME@body.m=1500, a number or one with its unit")
     return Vehicle.load(name).with_values({key: number_or_text(value) for key, _, value in pairs})
 
 

@@ -4,6 +4,7 @@ from halfshaft import InputError, Vehicle, accelerate
 from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.studies import acceleration
 from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
+from halfshaft.studies.conditions import MPH
 
 CAR = Vehicle.load("small-car-electric")
 
@@ -97,6 +98,16 @@ def test_without_one_source_a_hybrid_is_slower():
     assert max(engine.result.the("traction input")) <= 0
 
 
+def test_a_genset_alone_accelerates_as_its_power_allows():
+    # A mass m at a power P needs m v^2 / (2 P) to a speed v; losses, drag and the start of the engine come on top.
+    car = Vehicle.load("small-car-series")
+    found = AccelerationTest(resting="battery")(car)
+    least = car.mass * (60 * MPH) ** 2 / 2 / max(found.result["generator.P_out"])
+    assert least < found.figures["time_0_to_60_mph_s"] < 2 * least
+    assert found.result.inputs.mode == "hybrid"
+    assert max(found.result["battery.P_out"]) <= 0
+
+
 def test_top_speed_is_where_it_gains_no_more():
     found = TopSpeedTest()(CAR)
     assert found.figures["top_speed_mps"] == found.result.the("speed").max()
@@ -108,7 +119,7 @@ def test_top_speed_is_where_it_gains_no_more():
 
 def test_all_problems_of_the_options_are_named_at_once():
     with pytest.raises(InputError) as error:
-        AccelerationTest(pairs=((60, 40), (0, 400)), within=(0,), over=(-1,), routine="1998", soc="top")(CAR)
-    assert len(error.value.problems) == 6
+        AccelerationTest(pairs=((60, 40), (0, 400), ("x", 3)), within=(0,), over=(-1,), routine="1998", soc="top", duration=5)(CAR)
+    assert len(error.value.problems) == 8
     with pytest.raises(InputError, match="unit = 'knots', must be mph or km/h"):
         AccelerationTest(unit="knots")(CAR)
