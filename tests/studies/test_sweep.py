@@ -281,6 +281,17 @@ def test_what_is_no_list_and_what_is_too_much_is_refused():
     ]
 
 
+def test_one_response_may_be_a_text():
+    assert list(sweep(CAR, {"body.m": [1000, 1200]}, Weigh(), responses="drag").data_vars) == ["drag", "failure", "notes"]
+
+
+def test_what_is_no_whole_number_is_refused():
+    assert problems(CAR, {"body.m": "1000..1200"}, Weigh(), sample="lhs:4", seed=0.5, workers=2.5) == [
+        "sample lhs:4 has seed 0.5, must be a whole number >= 0",
+        "workers = 2.5, must be a whole number from 1 to 1000",
+    ]
+
+
 def test_options_of_a_test_that_cannot_be_are_refused_before_it_runs():
     task = AccelerationTest(pairs=((60, 40),))
     assert problems(CAR, {"body.m": [1000, 1200]}, task) == [f"acceleration: {problem}" for problem in task.problems()]
