@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from halfshaft import Cycle, InputError, Vehicle, plot_run, run
-from halfshaft.cosim.plot import _bars
+from halfshaft.cosim.plot import COLOURS, _bars
 from halfshaft.cosim.plot import labels_of as names_of
 
 
