@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from importlib.resources import files
 from typing import Any, NamedTuple, Protocol, TypeAlias
@@ -141,8 +141,8 @@ def read_by_c(samples: Samples) -> Samples:
     )
 
 
-def march_code(step: Step) -> str:
-    """Return the C of a step and of the loop that drives it."""
+def march_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
+    """Return the C of a step and of the loop that drives it; `rows` as for `step_code`."""
     the = step.tags.the
     positions = {
         "HS_X_V": step.state_index[the("speed")],
@@ -156,7 +156,7 @@ def march_code(step: Step) -> str:
     defines = "".join(f"#define {name} {i}\n" for name, i in positions.items())
     decisions = [*step.decisions, -1]
     defines += f"static const int hs_decisions[] = {{{', '.join(map(str, decisions))}}};\n"
-    return step_code(step) + defines + files("halfshaft.cosim").joinpath("march.c").read_text()
+    return step_code(step, rows) + defines + files("halfshaft.cosim").joinpath("march.c").read_text()
 
 
 class CompiledStep:

@@ -53,7 +53,7 @@ _FLAGS = {"not": 1, "and": 2, "or": 2, "only": 1, "choose": 1}
 
 #: About how many cycles an operation takes until its value is there, where it is not four.
 _CYCLES = {
-    "div": 24, "inv": 24, "sqrt": 32, "find": 25, "table": 14, "row": 40, "place": 11, "clip": 9, "sign": 9, "choose": 2, "only": 2,
+    "div": 24, "inv": 24, "sqrt": 32, "find": 25, "table": 14, "row": 40, "place": 11, "clip": 8, "sign": 9, "choose": 2, "only": 2,
     "and": 1, "or": 1, "not": 1,
 }  # fmt: skip
 _TYPES = {"number": "vd", "flag": "vm", "interval": "vi"}
@@ -133,6 +133,7 @@ class _Writer:
         self.divisors = {name for name, n in divisors.items() if n > 2 and name.startswith("t")}
         self.place = {name: ("q", i) for i, name in reversed([*enumerate(self.kept)])}
         self.place |= {name: ("w", i) for i, name in enumerate(self.of_cycle)}
+        self.quotients: dict[tuple[str, str], int] = {}
         self.lines: list[str] = []
         self.loaded: set[str] = set()
         self.stores: dict[str, list[tuple[str, int]]] = {}
@@ -209,7 +210,11 @@ class _Writer:
             return f"v_quotient({of}, r{b}_{block}, s{b}_{block})"
         if f"1/{b}" in self.place:
             inverse = self._value(f"1/{b}", block)
-            return f"{self._number(a, block)} * {inverse}" if b == self.length and self.halved else f"v_ratio({of}, {inverse})"
+            if b == self.length and self.halved:
+                return f"{self._number(a, block)} * {inverse}"
+            # Every third one is divided after all: so what divides is busy too.
+            if self.quotients.setdefault((a, b), len(self.quotients)) % 3 < 2:
+                return f"v_ratio({of}, {inverse})"
         if b.startswith("(0x") and 1e-30 < (c := float.fromhex(b[1:-1])) < 1e30:
             return f"v_set({(1 / c).hex()}) * {self._number(a, block)}" if frexp(c)[0] == 0.5 else f"v_ratio({of}, v_set({(1 / c).hex()}))"
         return of.replace(", ", " / ")

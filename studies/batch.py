@@ -8,10 +8,9 @@ the memory that a batch takes grows with those alone.  A run in which a number i
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -25,10 +24,11 @@ from halfshaft.cosim.memory import available
 from halfshaft.cosim.simulate import Build, stepper_of
 from halfshaft.fmu_build.compiler import shared_library
 from halfshaft.fmu_build.lanes import WIDTHS, lanes_code, lanes_header, widths
-from halfshaft.library.base.errors import InputError, nearest, not_a, number
+from halfshaft.library.base.errors import CompileError, InputError, nearest, not_a, number
 from halfshaft.library.base.parameters import spec_of
 from halfshaft.models.assembly import Step
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.crew import cores
 from halfshaft.studies.figures import end_states, figures, needs, unit_of
 
 if TYPE_CHECKING:
@@ -124,32 +124,54 @@ def run_batch(
     runs = next(iter(lengths.values()), 1)
     fleet, step, traces = vehicle.with_arrays(given), stepper_of(vehicle).step, _Traces(cycles, float(dt), runs)
     wanted = _main(step) if summary is None else _wanted(summary)
-    problems += [*_maps(fleet), *_unknown(step, wanted, starts, history), *traces.problems]
+    maps = _own_maps(step, fleet, problems)
+    problems += [*_unknown(step, wanted, starts, history), *traces.problems]
     if (size := 8 * runs * traces.longest * len(history)) > available():
         problems.append(f"the histories of {len(history)} outputs take {size / 2**30:.1f} GiB, more than there is; ask for summaries")
     if problems:
         raise InputError("batch", problems)
 
     wanted = sorted(set(wanted), key=lambda w: w.place)
-    plan = _plan(Build(vehicle), tuple(wanted), tuple(dict.fromkeys(history)), next(iter(widths()), ""), traces.halved)
+    plan = _plan(Build(vehicle), tuple(wanted), tuple(dict.fromkeys(history)), tuple(maps), next(iter(widths()), ""), traces.halved)
     shown = _Figures(step, fleet, traces) if summary is None else None
     rows = np.full((runs, traces.longest, len(plan.history)), np.nan)
-    columns: dict[str, Any] = {"status": np.zeros(runs, np.int8), "lost_by": np.full(runs, np.nan)}
-    if mode != "hybrid":
-        columns["unsolved"] = np.zeros(runs, np.intc)
-    for done in plan.march(fleet, traces, starts, rows, mode, threads or len(os.sched_getaffinity(0))):
+    columns = _Columns(runs)
+    for done in plan.march(fleet, maps, traces, starts, rows, mode, threads or cores()):
         lost = done.lost > 0
-        columns["status"][done.part] = lost
-        for i in np.flatnonzero(lost):
-            columns["lost_by"][done.part.start + i] = traces.samples[traces.of[done.part.start + i]].t[done.lost[i] - 1]
+        columns.put("status", done.part, lost.astype(np.int8))
+        columns.put("lost_by", done.part, traces.ends(done) if lost.any() else np.nan)
         if mode != "hybrid":
-            columns["unsolved"][done.part] = done.unsolved
+            columns.put("unsolved", done.part, done.unsolved)
         for name, x in (shown(done) if shown else done.found).items():
-            columns.setdefault(name, np.empty(runs))[done.part] = np.where(lost, np.nan, x)
+            columns.put(name, done.part, np.where(lost, np.nan, x) if lost.any() else x)
     driven = cycles[0].name if len(traces.cycles) == 1 else f"{len(traces.cycles)} cycles"
     made = f"halfshaft {__version__}, batch, {mode}, steps of {float(dt):g} s"
-    data = _dataset(vehicle, plan, given, dims or {"run": runs}, columns, traces, rows)
+    data = _dataset(vehicle, plan, given, dims or {"run": runs}, columns.whole(), traces, rows)
     return data.assign_attrs(title=f"{vehicle.name} over {driven}", source=made, vehicle=vehicle.name, cycle=driven)
+
+
+class _Columns:
+    """What is found of all runs; a number that all have in common takes no more room than one."""
+
+    def __init__(self, runs: int) -> None:
+        self.runs = runs
+        self.found: dict[str, Any] = {}
+
+    def put(self, name: str, part: slice, x: Any) -> None:
+        """Take what was found of some of them."""
+        before = self.found.get(name, x)
+        if np.ndim(x) == np.ndim(before) == 0:
+            self.found[name] = x
+            return
+        if np.ndim(before) == 0:
+            self.found[name] = np.full(self.runs, before)
+        elif name not in self.found:
+            self.found[name] = np.empty(self.runs, dtype=x.dtype)
+        self.found[name][part] = x
+
+    def whole(self) -> dict[str, Any]:
+        """Return an array for each, of which the entries may be one and the same."""
+        return {name: np.broadcast_to(x, (self.runs,)) for name, x in self.found.items()}
 
 
 class _Traces:
@@ -169,9 +191,14 @@ class _Traces:
         """Whether all steps last a power of two, in seconds."""
         return all(np.all(np.frexp(s.dt)[0] == 0.5) for s in self.samples)
 
-    def of_each(self, found: Sequence[float]) -> Array:
-        """Return for each run what its cycle has."""
-        return np.array(found)[self.of]
+    def of_each(self, found: Sequence[float], part: slice) -> Any:
+        """Return for some runs what their cycles have; one number where there is one cycle."""
+        return np.array(found)[self.of[part]] if len(found) > 1 else found[0]
+
+    def ends(self, done: _Done) -> Array:
+        """Return the times by which runs lost a number; NaN for those that did not."""
+        steps = zip(self.of[done.part], done.lost, strict=True)
+        return np.array([self.samples[i].t[k - 1] if k else np.nan for i, k in steps])
 
     def in_c(self, times: Sequence[float]) -> tuple[Any, list[Any]]:
         """Return the traces as C reads them, with the steps of the times at which outputs are looked at; and what must live so long."""
@@ -223,9 +250,11 @@ class _Plan(NamedTuple):
     wanted: tuple[Wanted, ...]
     history: tuple[str, ...]
 
-    def march(self, fleet: Vehicle, traces: _Traces, starts: Mapping[str, Any], rows: Array, mode: Mode, threads: int) -> Iterator[_Done]:
+    def march(
+        self, fleet: Vehicle, maps: Mapping[str, Any], traces: _Traces, starts: Mapping[str, Any], rows: Array, mode: Mode, threads: int
+    ) -> Iterator[_Done]:
         """Run all, some thousands at a time; histories are written to the rows."""
-        numbers = fleet.values | {self.step.tags.the("start speed"): traces.of_each([s.v_start for s in traces.samples])}
+        numbers, start_speed = fleet.values, self.step.parameter_index[self.step.tags.the("start speed")]
         varied = {i: x for i, d in enumerate(self.step.parameters) if isinstance(x := numbers[d.name], np.ndarray)}
         same = np.array([0.0 if i in varied else numbers[d.name] for i, d in enumerate(self.step.parameters)])
         places = np.array([self.step.state_index[name] for name in starts], dtype=np.intc)
@@ -240,6 +269,8 @@ class _Plan(NamedTuple):
             lost, unsolved = np.empty(n, np.intc), np.empty(n, np.intc)
             for i, values in varied.items():
                 p[:, i] = values[part]
+            p[:, start_speed] = traces.of_each([s.v_start for s in traces.samples], part)
+            p = np.hstack([p, *([t.values for t in own[part]] for own in maps.values())])
             for i, values in enumerate(starts.values()):
                 x[:, i] = values[part] if isinstance(values, np.ndarray) else values
             job = _Job(
@@ -251,7 +282,7 @@ class _Plan(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _plan(build: Build, wanted: tuple[Wanted, ...], history: tuple[str, ...], width: str, halved: bool) -> _Plan:
+def _plan(build: Build, wanted: tuple[Wanted, ...], history: tuple[str, ...], maps: tuple[str, ...], width: str, halved: bool) -> _Plan:
     whole = stepper_of(build.vehicle).step
     # The march itself needs the request and what is missed of it.
     step = whole.only({*(w.output for w in wanted), *history, *(whole.tags.the(tag) for tag in ("request", "miss", "overspeed"))})
@@ -261,9 +292,17 @@ def _plan(build: Build, wanted: tuple[Wanted, ...], history: tuple[str, ...], wi
         places = [str(index[o]) for o in (history if name == "kept" else [w.output for w in wanted if w.place[0] == i])]
         lines.append(f"#define HS_{name.upper()} {len(places)}\nstatic const int at_{name}[] = {{{', '.join(places) or '0'}}};")
     own = {name: files("halfshaft.studies").joinpath(name).read_text(encoding="utf-8") for name in ("batch.c", "march_lanes.h")}
-    code = "\n".join([march_code(step), *lines, lanes_code(step, halved=halved) if width else "", own.pop("batch.c")])
+    lengths = [len(step.tables[name].values) for name in maps]
+    rows = {name: len(step.parameters) + sum(lengths[:i]) for i, name in enumerate(maps)}
+    code = "\n".join([march_code(step, rows), *lines, lanes_code(step, rows, halved=halved) if width else "", own.pop("batch.c")])
     flags = ("-pthread", *(("-O1", *WIDTHS[width][0]) if width else ()))
-    library = shared_library(code, f"{step.name}_batch", own | lanes_header() if width else {}, flags)
+    try:
+        library = shared_library(code, f"{step.name}_batch", own | lanes_header() if width else {}, flags)
+    except CompileError:
+        if not width:
+            raise
+        # The compiler does not know these instructions, or there is none: then the next try says so.
+        return _plan(build, wanted, history, maps, "", halved)
     return _Plan(ctypes.CDLL(str(library)), step, wanted, history)
 
 
@@ -274,7 +313,7 @@ class _Figures:
         self.step, self.numbers = step, fleet.values
         self.ratings = {role: p.ratings() for role, p in fleet.parameters.items()}
         ends = [float(s.t[-1]) - float(c.time[0]) for c, s in zip(traces.cycles, traces.samples, strict=True)]
-        self.duration = traces.of_each(ends)
+        self.duration = partial(traces.of_each, ends)
 
     def __call__(self, done: _Done) -> dict[str, Any]:
         def part(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -284,7 +323,7 @@ class _Figures:
             return done.found[Wanted(output, how).name]
 
         ratings = {role: part(rated) for role, rated in self.ratings.items()}
-        main = figures(self.step, get, part(self.numbers), ratings, self.duration[done.part])
+        main = figures(self.step, get, part(self.numbers), ratings, self.duration(done.part))
         return main | {Wanted(output, how).name: get(output, how) for output, how in end_states(self.step)}
 
 
@@ -299,14 +338,18 @@ def _wanted(summary: Mapping[str, Any]) -> list[Wanted]:
     return [Wanted(name, how if isinstance(how, str) else number(how)) for name, hows in several.items() for how in hows]
 
 
-def _maps(fleet: Vehicle) -> Iterator[str]:
-    """Yield which maps differ."""
+def _own_maps(step: Step, fleet: Vehicle, problems: list[str]) -> dict[str, Any]:
+    """Return the maps that each run has of its own, since a rule makes them, by their names in the step."""
+    found = {}
     for role, p in fleet.parameters.items():
-        yield from (
-            f"{role}.{f.name} is a map that differs from run to run: run these one by one"
-            for f in fields(p)
-            if spec_of(f).axes and isinstance(getattr(p, f.name), np.ndarray)
-        )
+        for f in fields(p):
+            if not (spec_of(f).axes and isinstance(own := getattr(p, f.name), np.ndarray)):
+                continue
+            found[name := f"{step.name}_{role}_{f.name}"] = own
+            points = step.tables[name].points
+            if len(points) > 1 or any(not np.array_equal(t.points[0], points[0]) for t in {id(t): t for t in own}.values()):
+                problems.append(f"{role}.{f.name} differs in more than the values over one axis: run these one by one")
+    return found
 
 
 def _unknown(step: Step, wanted: Sequence[Wanted], starts: Mapping[str, Any], history: Sequence[str]) -> Iterator[str]:

@@ -6,6 +6,7 @@ processor times of the one thread that works, so that other programs disturb lit
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import os
 import statistics
@@ -13,19 +14,25 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from halfshaft.cosim.compiled import InterpretedStep, Mode
 from halfshaft.cosim.cycle import Cycle, acceleration_cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
 from halfshaft.fmu_build.compiler import find_compiler
+from halfshaft.fmu_build.lanes import widths
 from halfshaft.library.base.errors import CompileError, SolveError
+from halfshaft.library.base.tags import part_of
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.acceleration import DT, prepared
+from halfshaft.studies.batch import run_batch
 from halfshaft.validation import paper
 from halfshaft.validation.handwritten import Twin
 from halfshaft.validation.powertrains import first_of_each
@@ -45,6 +52,11 @@ PEERS = {
     (False, True): Peer("2012_Ford_Fusion.yaml", 4),
     (True, True): Peer("2016_TOYOTA_Prius_Two.yaml", 6),
 }
+#: Vehicles of which a batch runs over UDDS: how many nanoseconds a step and vehicle may take, and how many times as fast as FASTSim it
+#: shall be on a core.
+BATCHES = {"small-car-electric": (25, 30), "small-car-conventional": (28, 20), "small-car-series": (45, 25)}
+#: How many vehicles such a batch has.
+CARS = 10_000
 #: Vehicles whose first build is timed.
 BUILT = ("small-car-electric", "small-car-conventional")
 
@@ -130,8 +142,10 @@ def bench(progress: Callable[[str], None] | None = None) -> dict[str, Any]:
         ):
             say(title)
             rows += measure()
+        say("batches")
+        rows += _batches()
     say("threads")
-    return {"rows": rows + _threads(len(cores))}
+    return {"rows": rows + _threads(len(cores)) + _batches_on(sorted(cores))}
 
 
 def _row(name: str, value: float | None, unit: str, target: str = "", note: str = "") -> Row:
@@ -345,3 +359,94 @@ def _threads(n_cores: int) -> list[Row]:
     one, two = (max(throughput(threads) for _ in range(9)) for threads in (1, 2))
     note = f"electric car over UDDS, no history: {one[0]:.0f} and {two[0]:.0f} runs a second; the system gave {two[1]:.2f} cores"
     return [_row("throughput of two threads over one", two[0] / one[0], "times", ">= 1.7", note)]
+
+
+def _fleet(name: str) -> tuple[Callable[..., Any], Peer, int]:
+    """Return the call that runs many that differ in mass, drag and the size of what drives, FASTSim's nearest, and the number of steps."""
+    car, cycle, random = Vehicle.load(name), Cycle.load("udds"), np.random.default_rng(0)
+    driving = [n for n in car.values if n.endswith(".torque_scale")]
+    scale = next((n for n in driving if "traction power" in car.parameters[part_of(n)].ratings()), driving[0])
+    own = {car.tags.the("vehicle mass"): (0.8, 1.4), next(n for n in car.values if n.endswith(".c_d")): (0.7, 1.5), scale: (0.7, 1.5)}
+    values = {n: car.values[n] * random.uniform(*ends, CARS) for n, ends in own.items()}
+    bookings = {d.booking for d in stepper_of(car).step.outputs}
+    return partial(run_batch, car, values, cycle), PEERS["stored" in bookings, "fuel" in bookings], len(cycle.sampled(1.0).t)
+
+
+def _batches() -> list[Row]:
+    """Return what a batch costs on one core, summaries only, beside FASTSim one vehicle after the other."""
+    rows = []
+    width = next(iter(widths()), "no")
+    for name, (nanoseconds, faster) in BATCHES.items():
+        call, peer, n = _fleet(name)
+        times = {mode: measured(partial(call, threads=1, mode=mode), 0.0, 5).cpu for mode in ("hybrid", "refined")}
+        note = f"{CARS} cars over UDDS, mass, drag and torque varied; main figures kept; {width} vectors"
+        rows.append(_row(f"{name}: batch, a step and car", 1e9 * times["hybrid"] / n / CARS, "ns", f"<= {nanoseconds} (avx512)", note))
+        rows.append(_row(f"{name}: batch, refined, a step and car", 1e9 * times["refined"] / n / CARS, "ns", note=note))
+        rows.append(_row(f"{name}: batch, one core", CARS / times["hybrid"], "cars/s", note=note))
+        try:
+            other = _fastsim_times(peer.file)["simulation, no history"].cpu
+        except ImportError:
+            continue
+        for mode, target in (("hybrid", f">= {faster}"), ("refined", "")):
+            row = f"{name}: batch, {mode}, faster than FASTSim one by one by"
+            rows.append(_row(row, other * CARS / times[mode], "times", target, f"{peer.file}, no history, SimDrive made before"))
+    return rows
+
+
+def _batches_on(cores: Sequence[int]) -> list[Row]:
+    """Return the throughput of batches on all cores, beside FASTSim with a process on each."""
+    rows = []
+    for name in BATCHES:
+        call, peer, _ = _fleet(name)
+
+        def throughput(threads: int, call: Callable[..., Any] = call) -> tuple[float, float]:
+            """Return cars per second, and how many cores the system gave."""
+            wall, cpu = time.perf_counter(), time.process_time()
+            call(threads=threads)
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+            return CARS / wall, cpu / wall
+
+        throughput(len(cores))
+        # Other programs can only take away: the best of several counts.
+        one, every = (max(throughput(n) for _ in range(7)) for n in (1, len(cores)))
+        note = f"best of 7; the system gave {one[1]:.2f} and {every[1]:.2f} cores"
+        rows.append(_row(f"{name}: batch, {len(cores)} cores", every[0], "cars/s", note=note))
+        if len(cores) > 1:
+            target = ">= 1.8" if len(cores) == 2 else ""
+            rows.append(_row(f"{name}: batch, {len(cores)} cores over one", every[0] / one[0], "times", target, note))
+        theirs = _fastsim_processes(peer.file, cores)
+        if theirs:
+            note = f"{peer.file}, a process on each core, no history"
+            rows.append(_row(f"{name}: FASTSim, {len(cores)} processes", theirs, "cars/s", note=note))
+            rows.append(_row(f"{name}: batch faster than FASTSim on {len(cores)} cores by", every[0] / theirs, "times", note=note))
+    return rows
+
+
+def _fastsim_processes(name: str, cores: Sequence[int]) -> float | None:
+    """Return how many cars a second FASTSim runs with a process on each core; the best of several; None if it is not installed."""
+    if importlib.util.find_spec("fastsim") is None:
+        return None
+    environment = {k: v for k, v in os.environ.items() if k not in ("RUST_BACKTRACE", "RUST_LIB_BACKTRACE")}
+    best = 0.0
+    for _ in range(3):
+        command = [sys.executable, "-c", _FASTSIM_LOOP, name]
+        running = [subprocess.Popen([*command, str(core)], env=environment, stdout=subprocess.PIPE, text=True) for core in cores]
+        best = max(best, sum(float(process.communicate()[0]) for process in running))
+    return best
+
+
+#: Prints how many times a second a vehicle drives UDDS.
+_FASTSIM_LOOP = """
+import os, sys, time
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {int(sys.argv[2])})
+import fastsim
+cycle, vehicle = fastsim.Cycle.from_resource("udds.csv"), fastsim.Vehicle.from_resource(sys.argv[1])
+vehicle.set_save_interval(None)
+go = getattr(fastsim.SimDrive, "run_once", None) or fastsim.SimDrive.walk_once
+drives = [fastsim.SimDrive(vehicle, cycle) for _ in range(300)]
+start = time.perf_counter()
+for drive in drives:
+    go(drive)
+print(len(drives) / (time.perf_counter() - start))
+"""

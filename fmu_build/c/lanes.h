@@ -1,6 +1,10 @@
 /* Vectors of W numbers, one of each of W vehicles, for AVX-512 or AVX2.  Each operation gives the bits of its scalar form: the second of two
    numbers is the minimum or the maximum where they cannot be told apart, and what compares with NaN is false. */
 
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("schedule-insns", "sched-pressure")
+#endif
+
 #include <immintrin.h>
 #include <math.h>
 
@@ -11,7 +15,7 @@
    quotient that is as large as the least that is sound. */
 #define HS_NEAR 0x1p100
 #define HS_TINY 0x1p-1074
-#define HS_LEAST 0x1p-50
+#define HS_LEAST 0x1p-48
 
 static inline double hs_inverse(double b) {
   const int special = b == 0 || !(fabs(b) <= 0x1.fffffffffffffp1023);

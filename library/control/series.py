@@ -148,6 +148,8 @@ def genset_locus(engine: Maps, generator: Maps, speed_scale: float, torque_scale
     if tau_generator[-1] <= max(tau_engine[0], tau_generator[0]):
         below = tau_generator[-1] * np.arange(1, n + 1) / (n + 1)
         tau_engine, fuel = np.append(below, tau_engine), np.hstack([np.repeat(fuel[:, :1], n, axis=1), fuel])
+    if min(len(axis) for axis in (omega_engine, tau_engine, omega_generator, tau_generator)) < 2:
+        raise InputError("genset_locus", ["the maps of engine and generator must have two points along each axis, the engine's above 0"])
     omega = np.linspace(low, high, n)
     tau = np.linspace(max(tau_engine[0], tau_generator[0]), min(tau_engine[-1], tau_generator[-1]), n)
     grid = np.stack(np.meshgrid(omega, tau, indexing="ij"), axis=-1)
@@ -162,18 +164,23 @@ def genset_locus(engine: Maps, generator: Maps, speed_scale: float, torque_scale
     envelope_generator = np.interp(omega, generator_tau_max.points[0] * speed_scale, envelope_generator)
 
     P_low, P_top = omega_engine[0] * fuel_map.points[1][driving][0], power.max()
-    P_points, omega_points = [P_low], [omega_engine[0]]
-    for P in P_low + (P_top - P_low) * np.arange(1, n - 1) / (n - 1):
-        torques = np.clip(P / speeds, tau[0], tau[-1])
-        points = np.stack([speeds, torques], axis=-1)
-        over = (torques > np.interp(speeds, omega, envelope_engine)) | (torques > np.interp(speeds, omega, envelope_generator))
-        cost = _read((omega, tau), per_work, points) / _read((omega, tau), efficiency, points)
-        P_points.append(P)
-        omega_points.append(speeds[np.argmin(cost + 10000 * over)])
-    return Table.of([*P_points, P_top], values=[*omega_points, tau_max.points[0][power.argmax()]])
+    P = P_low + (P_top - P_low) * np.arange(1, n - 1) / (n - 1)
+    torques = np.clip(P[:, None] / speeds, tau[0], tau[-1])
+    points = np.stack([np.broadcast_to(speeds, torques.shape), torques], axis=-1)
+    over = (torques > np.interp(speeds, omega, envelope_engine)) | (torques > np.interp(speeds, omega, envelope_generator))
+    cost = _read((omega, tau), per_work, points) / _read((omega, tau), efficiency, points)
+    best = speeds[np.argmin(cost + 10000 * over, axis=1)]
+    return Table.of([P_low, *P, P_top], values=[omega_engine[0], *best, tau_max.points[0][power.argmax()]])
 
 
 def _read(axes: tuple[Any, Any], values: Any, points: Any) -> Any:
-    """Return a map over two axes at points, of shape ``(..., 2)``."""
-    read = ca.interpolant("read", "linear", [x.tolist() for x in axes], values.ravel(order="F").tolist())
-    return np.array(read(points.reshape(-1, 2).T)).reshape(points.shape[:-1])
+    """Return a map over two axes at points, of shape ``(..., 2)``; the outermost pieces are extended."""
+    (i, t), (j, s) = (_place(axis, points[..., k]) for k, axis in enumerate(axes))
+    low = (1 - t) * values[i, j] + t * values[i + 1, j]
+    return (1 - s) * low + s * ((1 - t) * values[i, j + 1] + t * values[i + 1, j + 1])
+
+
+def _place(axis: Any, x: Any) -> tuple[Any, Any]:
+    """Return the interval of an axis in which each number lies, and where in it."""
+    i = np.searchsorted(axis[1:-1], x, side="right")
+    return i, (x - axis[i]) / (axis[i + 1] - axis[i])

@@ -1,11 +1,16 @@
 """Lanes against the scalar march, to the last bit: on every powertrain, whatever the lanes drive and whether they come to an end."""
 
+import ctypes
+import math
+
 import numpy as np
 import pytest
 
 from halfshaft import Cycle, Vehicle
 from halfshaft.cosim.simulate import parameters_of, stepper_of
 from halfshaft.fmu_build import lanes
+from halfshaft.fmu_build.compiler import shared_library
+from halfshaft.library.base.tables import axis_source
 from halfshaft.models.vehicle import vehicle_names
 from halfshaft.studies import batch
 
@@ -79,3 +84,123 @@ def test_so_it_has_in_narrower_vectors_and_odd_steps(name, monkeypatch):
 @pytest.mark.skipif(not lanes.widths(), reason="the processor has no wide vectors")
 def test_so_it_has_where_steps_are_no_power_of_two(monkeypatch):
     check("small-car-electric", "refined", 0.3, lanes.widths()[0], monkeypatch)
+
+
+#: Each of the functions of lanes.h that has something to get wrong, for many numbers at once.
+PROBE = """
+#include "lanes.h"
+#define EXPORT __attribute__((visibility("default")))
+#define EACH(name, ...) EXPORT void name(long n, const double *a, const double *b, double *out) { \\
+  for (long k = 0; k < n; k += W) { \\
+    const vd x = v_load(a + k), y = v_load(b + k); \\
+    double inverse[W] __attribute__((aligned(64))); \\
+    for (int l = 0; l < W; ++l) inverse[l] = hs_inverse(b[k + l]); \\
+    const vd r = v_load(inverse); \\
+    vm special; \\
+    const vd s = v_inverse(y, &special); \\
+    (void)x, (void)r, (void)s, (void)special; \\
+    v_store(out + k, __VA_ARGS__); \\
+  } \\
+}
+EACH(ratio, v_ratio(x, y, r))
+EACH(quotient, v_quotient(x, y, s, special))
+EACH(least, v_min(x, y))
+EACH(most, v_max(x, y))
+EACH(sign, v_sign(x))
+EACH(clip, v_clip(x, -1.5, 2.5))
+EACH(power, v_pow(x, y))
+EACH(choice, v_choose(v_and(v_lt(x, y), v_not(v_eq(x, v_set(1)))), x, v_number(v_or(v_le(y, x), v_ne(x, x)))))
+"""
+
+
+def numbers(n):
+    """Return numbers of all sizes, and those that are no such, aligned as vectors are."""
+    rng = np.random.default_rng(11)
+    odd = [
+        0.0,
+        -0.0,
+        np.inf,
+        -np.inf,
+        np.nan,
+        1.0,
+        -1.0,
+        5e-324,
+        -5e-324,
+        1.7976931348623157e308,
+        2.2250738585072014e-308,
+        1 + 2**-52,
+        2 - 2**-52,
+    ]
+    plain, wide = rng.normal(size=n), rng.normal(size=n) * 2.0 ** rng.integers(-1070, 1020, n)
+    mixed = np.choose(rng.integers(0, 3, n), [plain, wide, rng.choice(odd, n)])
+    room = np.empty(n + 8)
+    aligned = room[-(room.ctypes.data // 8) % 8 :][:n]
+    aligned[:] = mixed
+    return aligned
+
+
+@pytest.mark.parametrize("width", lanes.widths())
+def test_operations_have_the_bits_of_their_scalar_forms(width):
+    library = ctypes.CDLL(str(shared_library(PROBE, "probe", lanes.lanes_header(), ("-O1", *lanes.WIDTHS[width][0]))))
+    n = 400_000
+    a, both = numbers(n), numbers(2 * n)
+    b, out = both[n:], numbers(n)
+    with np.errstate(all="ignore"):
+        quotient = a / b
+        expected = {
+            "ratio": quotient, "quotient": quotient, "least": np.where(a < b, a, b), "most": np.where(a > b, a, b),
+            "sign": np.where(a < 0, -1.0, np.where(a > 0, 1.0, a)), "clip": np.where(a < -1.5, -1.5, np.where(a > 2.5, 2.5, a)),
+            "power": np.array([_pow(x, y) for x, y in zip(a[:5000], b[:5000], strict=True)]),
+            "choice": np.where((a < b) & (a != 1), a, (b <= a) | np.isnan(a)),
+        }  # fmt: skip
+    for name, values in expected.items():
+        getattr(library, name)(ctypes.c_long(n), *(ctypes.c_void_p(x.ctypes.data) for x in (a, b, out)))
+        found, wanted = out[: len(values)], values.astype(float)
+        differ = (bits(found) != bits(wanted)) & ~(np.isnan(found) & np.isnan(wanted))
+        assert not differ.any(), (name, a[: len(values)][differ][:3], b[: len(values)][differ][:3])
+
+
+def _pow(x, y):
+    try:
+        return math.pow(x, y)
+    except ValueError:
+        return np.inf if x == 0 else np.nan
+    except OverflowError:
+        return math.copysign(np.inf, x) if y % 2 == 1 else np.inf
+
+
+@pytest.mark.parametrize("width", lanes.widths())
+@pytest.mark.parametrize("n", [2, 3, 8, 9, 12, 17, 20, 33, 34, 58, 97])
+def test_intervals_are_those_of_the_scalar_search(width, n):
+    rng = np.random.default_rng(n)
+    points = np.cumsum(rng.uniform(0.01, 1, n) ** 3) - 3.0
+    code = f"""#include <math.h>
+{axis_source("axis_0", points)}
+#include "lanes.h"
+{lanes.axis_source("axis_0", points)}
+__attribute__((visibility("default"))) void both(long n, const double *x, double *wide, double *narrow) {{
+  for (long k = 0; k < n; ++k) narrow[k] = axis_0_find(x[k]);
+  for (long k = 0; k < n; k += W) {{
+    long long at[W] __attribute__((aligned(64)));
+    v_keep(at, {lanes.find("axis_0", points, "v_load(x + k)")});
+    for (int l = 0; l < W; ++l) wide[k + l] = at[l];
+  }}
+}}
+"""
+    library = ctypes.CDLL(str(shared_library(code, "probe", lanes.lanes_header(), ("-O1", *lanes.WIDTHS[width][0]))))
+    x = numbers(40_000)
+    x[:20_000] = rng.uniform(points[0] - 0.5, points[-1] + 0.5, 20_000)
+    x[20_000 : 20_000 + 3 * n] = np.concatenate([points, np.nextafter(points, 9), np.nextafter(points, -9)])
+    wide, narrow = np.empty(len(x)), np.empty(len(x))
+    library.both(ctypes.c_long(len(x)), *(ctypes.c_void_p(y.ctypes.data) for y in (x, wide, narrow)))
+    assert np.array_equal(wide, narrow)
+
+
+def test_a_compiler_without_the_instructions_gives_the_scalar_march(monkeypatch):
+    car, values = Vehicle.load("small-car-electric"), {"body.m": [900.0, 1400.0]}
+    expected = batch.run_batch(car, values, HILL)
+    monkeypatch.setattr(batch, "widths", lambda: ("avx512",))
+    monkeypatch.setitem(batch.WIDTHS, "avx512", (("-mno-such-thing",), set()))
+    batch._plan.cache_clear()
+    assert batch.run_batch(car, values, HILL).identical(expected)
+    batch._plan.cache_clear()

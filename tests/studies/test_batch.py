@@ -1,5 +1,8 @@
 """Batches against single runs: the same numbers to the last bit, whatever the vehicles differ in."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -163,3 +166,22 @@ def test_what_cannot_be_run_is_said(arguments, message):
 
 def test_one_run_needs_no_arrays():
     assert run_batch(CAR, {"body.m": "1.2 t"}, SHORT).distance_m.shape == (1,)
+
+
+def test_a_map_that_a_rule_makes_follows_for_each_run():
+    car = Vehicle.load("small-car-series")
+    values = {"generator.torque_scale": np.linspace(0.3, 0.9, 6), "battery.soc_start": np.full(6, 0.45)}
+    found = run_batch(car, values, Cycle.load("us06"))
+    assert len({run_of.parameters["control"].omega_locus.key for run_of in (single(car, values, i) for i in range(6))}) > 1
+    for i in range(6):
+        figures = run(single(car, values, i), Cycle.load("us06"), history=False).figures
+        assert found.fuel_L[i] == figures["fuel_L"] > 0
+        assert found.soc_end[i] == figures["soc_end"]
+
+
+def test_examples_of_the_manual_run():
+    page = (Path(__file__).parents[2] / "docs" / "batches.md").read_text()
+    space = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
+        exec(compile(block, "batches.md", "exec"), space)
+    assert space["found"]["body.v.at_100s"].shape == (1000,)
