@@ -52,6 +52,7 @@ def test_a_run_has_the_panels_of_its_parts_and_road(car, cycle, panels):
 def test_the_powers_are_those_of_sources_and_of_the_machine_at_the_wheels(car, powers):
     (ax,) = plot_run(done(car), panels="power").axes
     assert [text.get_text() for text in ax.get_legend().get_texts()] == powers
+    assert ax.lines[-1].get_ydata() == [0, 0]
 
 
 def test_the_grade_is_that_of_the_road():

@@ -177,3 +177,13 @@ def test_what_a_file_leaves_out_changes_nothing():
 def test_what_a_file_leaves_out_lies_inside_its_bounds():
     assert len(left_out()) > 100
     assert [(kind, f.name, x) for kind, f, x in left_out() if not spec_of(f).holds(x)] == []
+
+
+#: What goes on in a straight line outside of its points; all else, which was measured, keeps the value of its edge.
+GOES_ON = {"P_electric", "tau_max", "tau_min", "capacity", "tau_bearing", "up", "down"}
+
+
+def test_maps_keep_their_edges_but_for_machines_bearings_and_shift_lines():
+    maps = {(kind, f.name): spec_of(f) for kind, component in component_kinds().items() for f in fields(component.parameters)}
+    going_on = {place for place, spec in maps.items() if spec.axes and not spec.clip}
+    assert going_on == {(kind, name) for kind, name in maps if name in GOES_ON} - {("engine", "tau_max")}
