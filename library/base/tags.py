@@ -35,6 +35,8 @@ Tag: TypeAlias = Literal[
     "brake force",  # held by a driver who stands
     # Of gears.
     "gear",
+    "gear ratios",
+    "start gear",
     "shift time",
     "hold time",
     "launch share",
@@ -55,6 +57,10 @@ Tag: TypeAlias = Literal[
     "charge",
     "start charge",
     "highest charge",  # that a control aims at
+    "lowest charge",
+    "empty charge",  # up to which nothing is drawn
+    "full charge",  # from which on nothing is stored
+    "source rise",
     "temperature",
     # Flags whose warning is looked into.
     "grip limit",

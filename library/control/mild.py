@@ -40,7 +40,9 @@ class MildControlParameters(Parameters):
 
     soc_high: float = param("1", "state of charge above which the machine does not charge", 0.8, ge=1e-3, le=1, tag="highest charge")
     soc_assist: float = param("1", "state of charge below which the machine helps less", 0.355, ge=0, le=1)
-    soc_low: float = param("1", "state of charge below which it does not help and the engine is not stopped", 0.2, ge=0, le=0.999)
+    soc_low: float = param(
+        "1", "state of charge below which it does not help and the engine is not stopped", 0.2, ge=0, le=0.999, tag="lowest charge"
+    )
     tau_assist: float = param("N.m", "torque above which the machine helps", 25.0, ge=0, le=1e4)
     a_assist: float = param("m/s^2", "acceleration above which it helps", 0.3, ge=-10, le=10)
     v_assist: float = param("m/s", "speed above which it helps", 4.4704, ge=0, le=1e3)

@@ -48,7 +48,7 @@ class ParallelControlParameters(Parameters):
     """Window of the state of charge, speeds and switches."""
 
     soc_high: float = param("1", "upper end of the window of the state of charge", 0.7, ge=1e-3, le=1, tag="highest charge")
-    soc_low: float = param("1", "lower end of the window", 0.6, ge=0, le=0.999)
+    soc_low: float = param("1", "lower end of the window", 0.6, ge=0, le=0.999, tag="lowest charge")
     v_launch_low: float = param(
         "m/s", "speed below which the car drives electrically, at soc_low", 0.0, ge=0, le=1e3, tag="electric launch speed"
     )

@@ -33,13 +33,13 @@ class PowerFollowerParameters(Parameters):
     """Window of the state of charge, powers and times."""
 
     soc_high: float = param("1", "state of charge above which the source is off", 0.8, ge=1e-3, le=1, tag="highest charge")
-    soc_low: float = param("1", "state of charge below which the source is on", 0.4, ge=0, le=0.999)
+    soc_low: float = param("1", "state of charge below which the source is on", 0.4, ge=0, le=0.999, tag="lowest charge")
     on_start: float = param("1", "1 if the source is on at the start", 0.0, ge=0, le=1)
     P_min_share: float = param("1", "lowest power of the source over its largest", 0.5, ge=1e-3, le=1)
     P_max_share: float = param("1", "highest normal power of the source over its largest", 0.5, ge=1e-3, le=1)
     P_charge: float = param("W", "charging power at the lower end of the window", 0.0, ge=0, le=1e8)
     t_off_min: float = param("s", "shortest time off; very long for a thermostat", 1e9, ge=0, le=1e12)
-    P_rise: float = param("W/s", "fastest rise of the source's power", 0.0, ge=0, le=1e9)
+    P_rise: float = param("W/s", "fastest rise of the source's power", 0.0, ge=0, le=1e9, tag="source rise")
     P_fall: float = param("W/s", "fastest fall of the source's power", 0.0, ge=0, le=1e9)
     charge_depleting: float = param("1", "1 to start the source only in the lower half of the window", 0.0, ge=0, le=1)
     always_on: float = param("1", "1 to keep the source on while the key is", 0.0, ge=0, le=1)

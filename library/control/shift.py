@@ -45,6 +45,7 @@ class ShiftParameters(Parameters):
     t_shift: float = param("s", "time without torque after a change of gear", 0.0, ge=0, le=100, tag="shift time")
     t_hold: float = param("s", "shortest time between two changes of gear", 0.0, ge=0, le=1e12, tag="hold time")
     t_raised: float = param("s", "shortest time between a change upward and the next one downward", 2.0, ge=0, le=1e12)
+    gear_start: float = param("1", "gear at the start", 1.0, ge=1, le=100, tag="start gear")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +112,8 @@ class Shift(Component):
     )
 
     def start(self) -> Mapping[str, Any]:
-        """Return the start values: first gear, no recent shift."""
-        return {"gear_before": 1.0, "raised": 0.0, "t_since_shift": 15.0, "omega_estimate": 0.0}
+        """Return the start values: no recent shift."""
+        return {"gear_before": self.p.gear_start, "raised": 0.0, "t_since_shift": 15.0, "omega_estimate": 0.0}
 
     def ratio_of(self, gear: Expr, ratios: tuple[Expr, ...]) -> Expr:
         """Return the ratio of a whole-numbered gear."""
@@ -196,7 +197,7 @@ class AutomaticShift(Shift):
     reads = (*Shift.reads, From("converter", TorqueConverter), From("control", omega_idle="rad/s"))
 
     def start(self) -> Mapping[str, Any]:
-        """Return the start values: first gear, no recent shift, not locked."""
+        """Return the start values: no recent shift, not locked."""
         return {**super().start(), "locked_before": 0.0, "lockable": 0.0}
 
     def load_at(self, tau: Expr, omega: Expr, slip_limited: Expr, machine: Machine) -> Expr:

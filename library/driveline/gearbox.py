@@ -49,7 +49,7 @@ OMEGA_FLOOR = 0.2
 class GearboxParameters(Parameters):
     """Ratios and inertia, common to all gearboxes."""
 
-    ratios: tuple[float, ...] = params("1", "ratio of input speed to output speed, gear by gear", ge=0.01, le=100)
+    ratios: tuple[float, ...] = params("1", "ratio of input speed to output speed, gear by gear", ge=0.01, le=100, tag="gear ratios")
     J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0, le=100)
     speed_scale: float = param("1", "factor on the speeds of the loss", 1.0, ge=0.01, le=100)
     torque_scale: float = param("1", "factor on the torques of the loss", 1.0, ge=0.01, le=100)

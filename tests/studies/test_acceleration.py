@@ -1,8 +1,9 @@
 import pytest
 
-from halfshaft import Vehicle, accelerate
+from halfshaft import InputError, Vehicle, accelerate
 from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.studies import acceleration
+from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
 
 CAR = Vehicle.load("small-car-electric")
 
@@ -22,7 +23,7 @@ def test_without_a_compiler_the_default_is_the_hybrid_method(monkeypatch):
     from halfshaft.models.assembly import assemble
 
     interpreted = InterpretedStep(assemble(CAR.model()))
-    for place in ("studies.acceleration", "cosim.simulate"):
+    for place in ("studies.conditions", "cosim.simulate"):
         monkeypatch.setattr(f"halfshaft.{place}.stepper_of", lambda _: interpreted)
     found = accelerate(CAR)
     assert found.result.inputs.mode == "hybrid"
@@ -53,3 +54,61 @@ def test_an_acceleration_is_shown_in_one_line():
     assert text == "<Acceleration small-car-electric, refined: 10.430 s (hybrid method 11.259 s)>"
     assert "never reached, highest speed 158.0 km/h" in repr(accelerate(CAR, to=300 / 3.6))
     assert "10.430 s" in accelerate(CAR)._repr_html_()
+
+
+def test_the_task_finds_what_accelerate_finds():
+    for name in ("small-car-electric", "small-car-parallel", "small-car-conventional"):
+        car = Vehicle.load(name)
+        found = AccelerationTest(pairs=((0, 100), (50, 100)), unit="km/h", routine="1999")(car)
+        assert found.figures["time_0_to_100_kmh_s"] == accelerate(car).time
+        assert found.figures["time_50_to_100_kmh_s"] == accelerate(car).time - accelerate(car, to=50 / 3.6).time
+
+
+def test_the_routines_differ_by_charge_and_launch():
+    car = Vehicle.load("small-car-series")
+    one, two = (AccelerationTest(routine=r)(car) for r in ("1999", "2000"))
+    assert (one.result.figures["soc_start"], two.result.figures["soc_start"]) == (0.8, pytest.approx(0.6))
+    assert AccelerationTest(soc=0.8)(car).figures == one.figures
+    assert AccelerationTest(soc="own")(car).result.figures["soc_start"] == 0.7
+    conventional = Vehicle.load("small-car-conventional")
+    launched = conventional.with_values({"control.launch_share": 0.4})
+    assert AccelerationTest(routine="1999")(conventional).figures == AccelerationTest()(launched).figures
+
+
+def test_what_is_never_reached_is_none():
+    found = AccelerationTest(pairs=((0, 60), (0, 190)), over=(1e6,), within=(5.0, 60.0), duration=50)(CAR).figures
+    assert found["time_0_to_60_mph_s"] > 0
+    assert [found[n] for n in ("time_0_to_190_mph_s", "time_over_1e+06_m_s", "distance_in_60_s_m")] == [None] * 3
+
+
+def test_a_run_is_held_until_all_is_reached():
+    slow = CAR.with_values({"body.m": 6000})
+    found = AccelerationTest(pairs=((0, 30),), over=(2000.0,))(slow)
+    assert found.figures["time_over_2000_m_s"] > 50
+
+
+def test_without_one_source_a_hybrid_is_slower():
+    car = Vehicle.load("small-car-parallel")
+    both, engine, motor = (AccelerationTest(resting=r)(car) for r in ("none", "battery", "converter"))
+    times = [x.figures["time_0_to_60_mph_s"] for x in (both, engine, motor)]
+    assert times[0] < min(times[1:])
+    assert engine.result.account.battery <= 0 < motor.result.account.battery
+    assert motor.result.account.fuel == 0
+    assert max(engine.result.the("traction input")) <= 0
+
+
+def test_top_speed_is_where_it_gains_no_more():
+    found = TopSpeedTest()(CAR)
+    assert found.figures["top_speed_mps"] == found.result.the("speed").max()
+    assert found.notes[0].startswith("not held: 1.2")
+    conventional = TopSpeedTest()(Vehicle.load("small-car-cvt"))
+    assert not any(n.startswith("not held") for n in conventional.notes)
+    assert conventional.result.the("speed")[-1] == pytest.approx(conventional.figures["top_speed_mps"], abs=1e-3)
+
+
+def test_all_problems_of_the_options_are_named_at_once():
+    with pytest.raises(InputError) as error:
+        AccelerationTest(pairs=((60, 40), (0, 400)), within=(0,), over=(-1,), routine="1998", soc="top")(CAR)
+    assert len(error.value.problems) == 6
+    with pytest.raises(InputError, match="unit = 'knots', must be mph or km/h"):
+        AccelerationTest(unit="knots")(CAR)
