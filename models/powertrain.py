@@ -57,6 +57,10 @@ class Derived:
 class Powertrain:
     """A powertrain: ``roles`` lists from the wheel to the source what kinds, or families of kinds, may fill each role.
 
+    ``hybridisation`` is for powertrains whose engine reaches the wheels beside a motor.  A sizing may then share between the two what
+    the engine needs more for full acceleration than for a grade: 0 leaves it all to the engine, 1 to motor and store.  Without it
+    the motor drives with the power of both engine and store, and the engine is sized for the grade.
+
     Raises
     ------
     InputError
@@ -69,6 +73,7 @@ class Powertrain:
     roles: Mapping[str, tuple[str, ...]]
     connect: Callable[[Model], None]
     derived: tuple[Derived, ...] = ()
+    hybridisation: float | None = None
 
     def __post_init__(self) -> None:
         """Check the names."""

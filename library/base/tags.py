@@ -62,6 +62,14 @@ Tag: TypeAlias = Literal[
     "full charge",  # from which on nothing is stored
     "source rise",
     "temperature",
+    "lowest supply voltage",
+    "lowest module voltage",
+    "highest module voltage",
+    # Of what a sizing changes: factors, and numbers of modules and cells.
+    "source size",  # of an engine or a fuel cell
+    "follows source",  # grows in proportion with it
+    "store size",
+    "drive size",
     # Flags whose warning is looked into.
     "grip limit",
     "store limit",
