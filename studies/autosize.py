@@ -479,7 +479,8 @@ def _trimmed(bench: _Bench, state: State, goals: tuple[Goal, ...], needed: int) 
     begun: State = {}
     while state != begun:
         begun = state
-        for kind, least in (("drive", needed), ("store", 0)):
+        floors: dict[Kind, int] = {"drive": needed, "store": 0}
+        for kind, least in floors.items():
             if kind in bench.sizes and bench.does(state, goals):
                 state, _ = bench.smallest(state, kind, goals, least=least, most=state[kind])
     return state

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -73,12 +73,11 @@ def _autosize(
     if out is not None and out.suffix != ".toml":
         checks.problem(f"--out {out}: must end in .toml")
     checks.picture(plot, "--plot")
-    limits = _limits(limit or (), checks)
-    given = {name: () if list(texts) == [NONE] else tuple(texts) for name, texts in (("accelerations", accel), ("grades", grade)) if texts}
-    task = Autosize(
-        **given, top_speed=None if top_speed == NONE else top_speed, preset=preset, hybridisation=hybridisation, sizes=tuple(size or ()),
-        limits=limits,
-    )  # type: ignore[arg-type]  # fmt: skip
+    limits = _limits(limit or [], checks)
+    # What is not allowed is found by the task, with all else that is wrong.
+    given: dict[str, Any] = {"preset": preset, "sizes": tuple(size or ()), "limits": limits}
+    given |= {name: _goals(texts) for name, texts in (("accelerations", accel), ("grades", grade)) if texts}
+    task = Autosize(top_speed=None if top_speed == NONE else top_speed, hybridisation=hybridisation, **given)
     if found is not None:
         checks.problem(*task.problems(found))
     car = checks.done(found)
@@ -95,7 +94,11 @@ def _autosize(
     print_written(out, plot)
 
 
-def _limits(texts: list[str] | tuple[str, ...], checks: Checks) -> dict[str, tuple[float, float]]:
+def _goals(texts: list[str]) -> tuple[str, ...]:
+    return () if texts == [NONE] else tuple(texts)
+
+
+def _limits(texts: list[str], checks: Checks) -> dict[str, tuple[float, float]]:
     """Return limits by kind, in W where they are in kW."""
     limits = {}
     for text in texts:

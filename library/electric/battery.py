@@ -44,7 +44,7 @@ class BatteryParameters(StoreParameters):
     def module(self) -> tuple[Any, Any]:
         """Voltage [V] and resistance [ohm] of a module that is discharged at the start temperature, at the charges of the map."""
         at = [(self.T_start, float(soc)) for soc in self.u_oc.points[1]]
-        return tuple(np.array([f(*x) for x in at]) for f in (self.u_oc, self.r_discharge))
+        return np.array([self.u_oc(*x) for x in at]), np.array([self.r_discharge(*x) for x in at])
 
 
 def pack_energy(p: BatteryParameters) -> float:

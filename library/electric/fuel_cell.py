@@ -196,7 +196,7 @@ class PolarisationParameters(FuelCellParameters):
         """Net power at the end of the polarisation curve [W]."""
         i = self.U_cell.inside(0)[1]
         area = self.n_cells * self.A_cell
-        return area * i * self.U_cell(i) - self.P_aux(area / self.utilisation * self.fuel(i))
+        return float(area * i * self.U_cell(i) - self.P_aux(area / self.utilisation * self.fuel(i)))
 
     relations = (
         Relation(_falls, "U_cell falls so fast that the power of a cell falls with it; end the table at the largest power"),
