@@ -6,7 +6,9 @@ smallest size that will do with all others as they are, are repeated until nothi
 
 1. the source, for what is sustained; without a store, for everything;
 2. the store, for the rest; without a source, for everything; the drive grows with the power that it can get;
-3. the drive, but no smaller than what is sustained needs; then the store again, and so on until neither gets smaller.
+3. the drive for the same, then the store again, and so on until neither gets smaller.
+
+A drive that turns out to be too small for what is sustained, whatever the source, is kept as large as that needs.
 
 Where the engine reaches the wheels beside the motor, there is a choice: engine for the grade alone and a large motor, or engine for
 everything and a small motor.  With s_g and s_a the engine's sizes for each of the two, both with the smallest store and drive, and
@@ -326,7 +328,7 @@ class _Bench:
         self.base, self.sizes, self.goals, self.rules = car, sizes, goals, rules
         self.given: State = {}
         self.start: State = {kind: size.within(round(car.values[size.first] / size.step)) for kind, size in sizes.items()}
-        self._beside = beside
+        self.beside = beside
         self._cars: dict[Key, Vehicle] = {}
         self._found: dict[Key, dict[Task, Mapping[str, float | None]]] = {}
         self._aims: dict[Key, str] = {}
@@ -364,25 +366,28 @@ class _Bench:
         """Return whether sizes will do."""
         return all(self.margin(state, goal) >= 0 for goal in goals)
 
-    def following(self, state: State) -> State:
-        """Return the state with the drive that the others can feed."""
+    def following(self, state: State, least: int) -> State:
+        """Return the state with the drive that the others can feed, or the least if that is larger."""
         if "drive" not in self.sizes:
             return state
         car, size = self.car(state), self.sizes["drive"]
-        P = self.rules.feed(0.0 if self._beside else power(car, "source"), power(car, "store"))
-        return {**state, "drive": size.within(round(state["drive"] * P / power(car, "drive")))}
+        P = self.rules.feed(0.0 if self.beside else power(car, "source"), power(car, "store"))
+        return {**state, "drive": size.within(max(least, round(state["drive"] * P / power(car, "drive"))))}
 
     def smallest(
-        self, state: State, kind: Kind, goals: tuple[Goal, ...], *, least: int = 0, most: int | None = None, follow: bool = False
+        self, state: State, kind: Kind, goals: tuple[Goal, ...], *, least: int = 0, most: int | None = None, follow: int | None = None
     ) -> tuple[State, bool]:
-        """Return the state with the smallest size of a kind that will do, and whether there is one."""
+        """Return the state with the smallest size of a kind that will do, and whether there is one.
+
+        With `follow` the drive goes with it, but gets no smaller than that.
+        """
         size = self.sizes[kind]
         low, high = size.within(least), size.high if most is None else size.within(most)
         aim = f"{kind} for {'everything' if len(goals) == len(self.goals) else ', '.join(goal.title for goal in goals)}"
 
         def at(k: int) -> State:
             new = {**state, kind: k}
-            return self.following(new) if follow else new
+            return new if follow is None else self.following(new, follow)
 
         def margin(k: int) -> float:
             margins = [self.margin(at(k), goal, aim) for goal in goals]
@@ -439,7 +444,7 @@ def _found(bench: _Bench, share: float | None) -> tuple[State, int | None, list[
 
 def _rounds(bench: _Bench, goals: tuple[Goal, ...], share: float | None, start: State) -> tuple[State, int | None, list[str]]:
     """Return the sizes at which nothing changes any more, from a start, with the source's if it shares, and what is to be said."""
-    sizes, state, shared, least = bench.sizes, start, None, 0
+    sizes, state, shared, least, needed = bench.sizes, start, None, 0, 0
     hybrid = bool(power(bench.base, "source") and power(bench.base, "store"))
     sustained, rest = (tuple(goal for goal in goals if not hybrid or goal.sustained is which) for which in (True, False))
     if hybrid and share is not None and "source" in sizes:
@@ -447,15 +452,18 @@ def _rounds(bench: _Bench, goals: tuple[Goal, ...], share: float | None, start: 
     for i in range(ROUNDS):
         begun = state
         if "source" in sizes:
-            state, _ = bench.smallest(state, "source", sustained, least=max(least, state["source"] if i >= SETTLED else 0))
-        needed = 0
-        if "drive" in sizes and hybrid and bench.does(state, sustained):
-            needed = bench.smallest(state, "drive", sustained)[0]["drive"]
+            floor = max(least, state["source"] if i >= SETTLED else 0)
+            state, does = bench.smallest(state, "source", sustained, least=floor)
+            if not does and "drive" in sizes:
+                # No source helps a drive that cannot give what is sustained.
+                state, _ = bench.smallest(state, "drive", sustained)
+                needed = state["drive"]
+                state, _ = bench.smallest(state, "source", sustained, least=floor)
         if "store" in sizes:
             state, does = _stored(bench, state, rest, needed)
             if not does and "source" in sizes:
                 # More of the store does not help: the source makes up for what it lacks.
-                state, _ = bench.smallest(state, "source", goals, least=state["source"], follow=True)
+                state, _ = bench.smallest(state, "source", goals, least=state["source"], follow=needed)
                 least = state["source"]
                 state, _ = _stored(bench, state, rest, needed)
         state = _trimmed(bench, state, rest or goals, needed)
@@ -471,7 +479,13 @@ def _stored(bench: _Bench, state: State, goals: tuple[Goal, ...], needed: int) -
         least["drive"] = bench.sizes["drive"].within(needed)
     if bench.does(least, goals):
         return least, True
-    return bench.smallest(state, "store", goals, follow=True)
+    found, does = bench.smallest(state, "store", goals, follow=needed)
+    if not does and "drive" in bench.sizes:
+        # What the drive lacks may be torque, of which power that it is fed tells nothing.
+        grown, does = bench.smallest(found, "drive", goals)
+        if does:
+            return bench.smallest(grown, "store", goals, most=grown["store"])
+    return found, does
 
 
 def _trimmed(bench: _Bench, state: State, goals: tuple[Goal, ...], needed: int) -> State:

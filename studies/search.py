@@ -71,7 +71,8 @@ def by_halving(margin: Callable[[int], float], low: int, high: int, start: int =
         if high - low <= 1:
             break
         middle = (low + high) // 2
-        low, high = (low, middle) if margin(middle) >= 0 else (middle, high)
-        if 0 <= margin(high) <= slack:
+        reached = margin(middle)
+        low, high = (low, middle) if reached >= 0 else (middle, high)
+        if 0 <= reached <= slack:
             break
     return Least(high, True)
