@@ -83,6 +83,11 @@ def remarks(result: Result, units: Units = "metric") -> tuple[str, ...]:
     return (*misses, *_limits(result, units), *_speeds(result), *_energies(result, units), *result.notes)
 
 
+def acted(result: Result, units: Units = "metric") -> tuple[str, ...]:
+    """Return which limits acted, and what else parts warn of: what there is to know of a run that asks for all that a vehicle can."""
+    return (*_limits(result, units), *_speeds(result), *result.notes)
+
+
 def _when(result: Result, steps: Mask) -> str:
     """Return how long and from when on something was so."""
     total, at = float(result.dt[steps].sum()), result.time[steps]

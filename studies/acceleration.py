@@ -20,6 +20,7 @@ import numpy as np
 
 from halfshaft.cosim.compiled import Array, Mode
 from halfshaft.cosim.cycle import acceleration_cycle
+from halfshaft.cosim.remarks import acted
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Via, run
 from halfshaft.cosim.units import M_PER_MILE
@@ -185,7 +186,7 @@ class AccelerationTest(Conditions):
         Both shift in 0.2 s; that of ``1999`` also lets the clutch slip up to 0.4 of the engine's highest speed, and no hybrid drive
         off electrically by choice.
     mode
-        How the steps are solved; without it refined, or hybrid where there is no compiler.
+        How the steps are solved; without it refined, or hybrid where there is no compiler or the battery rests.
     duration
         Time until which the request is held [s].  Without it 50 s, and longer while something is still to be reached.
 
@@ -226,7 +227,7 @@ class AccelerationTest(Conditions):
         """
         old = self.routine == "1999"
         car = self.applied(vehicle, "high" if old else "middle", more=shifting(vehicle) | (launching(vehicle) if old else {}))
-        mode, highest = best_mode(car, self.mode), max((high for _, high in self.pairs), default=0.0) * IN_MPS[self.unit]
+        mode, highest = self.solved(car, self.mode), max((high for _, high in self.pairs), default=0.0) * IN_MPS[self.unit]
 
         def done(result: Result) -> bool:
             driven, held = float(travelled(result)[-1]), float(result.time[-1]) - T_START
@@ -245,7 +246,7 @@ class AccelerationTest(Conditions):
             figures[f"time_over_{s:g}_m_s"] = float(np.interp(s, way, time)) - T_START if way[-1] >= s else None
         figures["acceleration_max_mps2"] = float(np.diff(result.the("speed"), prepend=0.0).max() / DT)
         figures["speed_max_mps"] = result.highest[result.tags.the("speed")]
-        return Accelerated(figures, result, result.warnings)
+        return Accelerated(figures, result, acted(result))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +258,7 @@ class TopSpeedTest(Conditions):
     Parameters
     ----------
     mode
-        How the steps are solved; without it refined, or hybrid where there is no compiler.
+        How the steps are solved; without it refined, or hybrid where there is no compiler or the battery rests.
 
     """
 
@@ -274,13 +275,13 @@ class TopSpeedTest(Conditions):
 
         """
         car = self.applied(vehicle, "middle", more=shifting(vehicle))
-        result = full_effort(car, best_mode(car, self.mode), lambda _: False, steady=STEADIEST, key_on=self.resting != "converter")
+        result = full_effort(car, self.solved(car, self.mode), lambda _: False, steady=STEADIEST, key_on=self.resting != "converter")
         v = result.the("speed")
         i = int(v.argmax())
         figures = {"top_speed_mps": float(v[i]), "reached_after_s": float(result.time[i]) - T_START}
         lost = v[i] - v[-1]
         notes = (f"not held: {lost * 3.6:.3g} km/h slower at the end of {result.time[-1]:g} s",) if lost > STEADY else ()
-        return Accelerated(figures, result, (*notes, *result.warnings))
+        return Accelerated(figures, result, (*notes, *acted(result)))
 
 
 def travelled(result: Result) -> Array:

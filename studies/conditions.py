@@ -15,11 +15,13 @@ from halfshaft.models.vehicle import Vehicle
 
 #: Which source rests: none, the batteries (they give nothing), or engine and fuel cell (the key is off).
 Resting: TypeAlias = Literal["none", "battery", "converter"]
-#: An end or the middle of the window that the control keeps, or the vehicle's own charge.
-Place: TypeAlias = Literal["low", "middle", "high", "own"]
+#: An end or the middle of the window that the control keeps, a full battery, or the charge of the vehicle itself.
+Place: TypeAlias = Literal["low", "middle", "high", "full", "own"]
 #: The tests of ADVISOR as they were in 1999, and with the options of 2000.
 Routine: TypeAlias = Literal["1999", "2000"]
 RESTING, PLACES = get_args(Resting), get_args(Place)
+#: Rise of a source's power that takes no time [W/s].
+AT_ONCE = 1e9
 #: A battery that rests is empty up to this share of full.
 NEARLY = 0.99
 MPH = M_PER_MILE / 3600
@@ -32,15 +34,15 @@ class Conditions:
     Parameters
     ----------
     soc
-        State of charge at the start [1]: a number, or a place in the window that the control keeps (``low``, ``middle``, ``high``);
-        without a window, and with ``own``, that of the vehicle.
+        State of charge at the start [1]: a number, ``full``, or a place in the window that the control keeps (``low``, ``middle``,
+        ``high``); without a window, and with ``own``, that of the vehicle.
     added_mass
         Load beside the vehicle's mass [kg].
     mass
         Mass in place of all that [kg].
     resting
-        What does not work: the ``battery`` (it is empty and stays so), or engine and fuel cell, the ``converter`` (the key is off, so that
-        the accessories rest too).
+        What does not work: the ``battery`` (it is empty and stays so, and a genset takes no time to follow), or engine and fuel
+        cell, the ``converter`` (the key is off, so that the accessories rest too).
 
     What is None is as the test has it.
 
@@ -91,9 +93,18 @@ class Conditions:
         if resting == "battery":
             for start, empty, full in zip(*(tags.all_of(tag) for tag in ("start charge", "empty charge", "full charge")), strict=True):
                 values |= {start: vehicle.values[empty], empty: NEARLY * vehicle.values[full]}
+            values |= dict.fromkeys(tags.all_of("source rise"), AT_ONCE)
         elif (start := charge_at(vehicle, soc)) is not None:
             values |= dict.fromkeys(tags.all_of("start charge"), start)
         return vehicle.with_values(values) if values else vehicle
+
+    def solved(self, vehicle: Vehicle, mode: Mode | None) -> Mode:
+        """Return how the steps of a test at full effort are solved, unless told.
+
+        Refined, where there is a compiler.  But what looks for the speed that is reached when it is asked for finds only crawling where no
+        battery balances what a source gives: then hybrid.
+        """
+        return mode or ("hybrid" if self.resting == "battery" else best_mode(vehicle))
 
 
 def is_hybrid(vehicle: Vehicle) -> bool:
@@ -111,10 +122,13 @@ def charge_at(vehicle: Vehicle, soc: float | Place) -> float | None:
     """Return a state of charge to start at; None for that of the vehicle."""
     if soc not in PLACES:
         return number(soc)
+    full = [vehicle.values[name] for name in vehicle.tags.all_of("full charge")]
+    if soc == "full":
+        return min(full, default=None)
     ends = window(vehicle)
     return None if soc == "own" or ends is None else {"low": ends[0], "middle": sum(ends) / 2, "high": ends[1]}[str(soc)]
 
 
-def best_mode(vehicle: Vehicle, mode: Mode | None = None) -> Mode:
-    """Return how the steps of a test are solved: refined, unless told otherwise or where there is no compiler."""
-    return mode or ("refined" if isinstance(stepper_of(vehicle), CompiledStep) else "hybrid")
+def best_mode(vehicle: Vehicle) -> Mode:
+    """Return the better way to solve the steps of a vehicle: refined, or hybrid where there is no compiler."""
+    return "refined" if isinstance(stepper_of(vehicle), CompiledStep) else "hybrid"

@@ -24,7 +24,7 @@ from halfshaft.cosim.cycle import Samples
 from halfshaft.cosim.simulate import parameters_of, stepper_of
 from halfshaft.library.base.errors import InputError, number
 from halfshaft.models.vehicle import Vehicle
-from halfshaft.studies.conditions import MPH, Conditions, Place, Routine, best_mode, is_hybrid
+from halfshaft.studies.conditions import AT_ONCE, MPH, Conditions, Place, Routine, best_mode, is_hybrid
 
 #: Speeds closer than this are the same [m/s].
 SAME = 0.01 * MPH
@@ -39,8 +39,8 @@ BOUNDS, STEP, GROWTH = (0.0, 0.10), 0.01, 1.618
 #: Bracket at which a search ends [1], and most halvings.
 TOLERANCES: Mapping[Routine, float] = {"1999": 5e-6, "2000": 5e-4}
 MOST_HALVINGS = 25
-#: Time for which a gear is kept [s]; rise of power that is none [W/s].
-KEPT, AT_ONCE = 1e12, 1e9
+#: Time for which a gear is kept [s].
+KEPT = 1e12
 #: Longest test of a grade [s].
 LONGEST = 1e5
 
@@ -143,7 +143,7 @@ class GradeabilityTest(Conditions):
             held, steepest = (halve if self.routine == "1999" else grow)(road.holds, self.tolerance or TOLERANCES[self.routine])
         if held is None:
             notes = (f"a grade of {100 * (self.grade or 0.0):g} % is not held at {self.speed / MPH:.4g} mph",)
-        elif held == steepest:
+        elif self.grade is None and held == steepest:
             notes = (f"a grade of {100 * held:g} % is held; steeper ones were not tried",)
         figures = {"grade_percent": None if held is None else 100 * held, "speed_mps": self.speed, "gear": road.gears[0]}
         return Climbed(figures, tuple(road.trials), notes)
@@ -175,15 +175,24 @@ class Road:
 
     def holds(self, grade: float) -> bool:
         """Return whether the vehicle holds a grade in any of its gears."""
-        for gear in self.gears:
-            if held := any(self._driven(grade, gear, mode) for mode in self._modes):
+        best = max((g for g, held in self.trials if held), default=None)
+        held = False
+        for gear in list(self.gears):
+            # What does not even hold the grade that another gear holds is not asked again.
+            if best is not None and gear != self.gears[0] and not self._holds_in(gear, best):
+                self.gears.remove(gear)
+            elif held := self._holds_in(gear, grade):
                 self.gears = [gear, *(g for g in self.gears if g != gear)]
                 break
         self.trials.append((grade, held))
         return held
 
-    def _driven(self, grade: float, gear: int | None, mode: Mode) -> bool:
+    def _holds_in(self, gear: int | None, grade: float) -> bool:
         """Return whether the vehicle holds a grade in a gear."""
+        return any(self._driven(grade, gear, mode) for mode in self._modes)
+
+    def _driven(self, grade: float, gear: int | None, mode: Mode) -> bool:
+        """Return whether it does if the steps are solved in a mode."""
         if gear is not None:
             self._parameters[self._start_gear] = gear
         march = self._stepper.march(self._samples._replace(grade=grade * self._share), self._parameters, mode=mode)

@@ -48,6 +48,10 @@ CHARGE, ENERGY = 0.005, 0.01
 MOST_RUNS = 15
 #: Growth of the steps with one sign; largest change that tells how far it is, and least share of a bracket that a run goes into it [1].
 HURRY, LARGE, NEAREST = 3, 0.1, 0.2
+#: What is shown first of a corrected run.
+REPORTED = (
+    "distance_m", "fuel_economy_L_per_100km", "gasoline_equivalent_L_per_100km", "soc_start", "soc_end", "trace_miss_max_mps", "runs",
+)  # fmt: skip
 #: How far outside of the window the linear correction starts, and how far from the vehicle's own charge where there is no window [1].
 OUTSIDE, AROUND = 0.01, 0.05
 
@@ -150,6 +154,11 @@ class Corrected:
     record: tuple[Trial, ...]
     result: Result
     notes: tuple[str, ...] = ()
+
+    @property
+    def reported(self) -> tuple[str, ...]:
+        """Names of the figures to show first."""
+        return tuple(name for name in REPORTED if name in self.figures)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,6 +51,13 @@ def test_page_runs_from_top_to_bottom(name, least, tmp_path, monkeypatch):
         exec(compile(block, str(page), "exec"), space)
 
 
+def test_page_of_tests_runs_from_top_to_bottom(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    space = {"__name__": "tests"}
+    for block in blocks(DOCS / "tests.md", "python"):
+        exec(compile(block, "tests.md", "exec"), space)
+
+
 def test_example_of_the_readme_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (example,) = blocks(ROOT / "README.md", "python")

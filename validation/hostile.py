@@ -28,6 +28,8 @@ from halfshaft.library.files.component_file import component_names, read_compone
 from halfshaft.models.assembly import assemble
 from halfshaft.models.powertrain import powertrains, vehicle_files
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.procedure import joined
+from halfshaft.studies.procedure_file import Plan, procedure_texts
 
 #: What takes the place of a number, a text or a whole value.
 NUMBERS = (
@@ -104,8 +106,14 @@ def _sources() -> list[tuple[str, str, Callable[[Path], Vehicle | Cycle | None]]
         ("trip.csv", trip, Cycle.load),
         ("grade.csv", grade, lambda path: Cycle.load("im240", path)),
     ]
-    # As many vehicles and cycles as components.
-    return found + len(found) // len(vehicles) * vehicles + len(found) // len(cycles) * cycles
+    plans = [(f"{name}.toml", text, _planned) for name, text in procedure_texts().items() if len(text) < SMALL]
+    # As many vehicles, cycles and procedures as components.
+    return [x for kind in (found, vehicles, cycles, plans) for x in len(found) // len(kind) * kind]
+
+
+def _planned(path: Path) -> None:
+    for test in Plan.load(path).tests:
+        joined(test, 2 if test.repeat else 1)
 
 
 def _in_vehicle(kind: str, path: Path) -> Vehicle | None:

@@ -61,6 +61,8 @@ Tag: TypeAlias = Literal[
     "empty charge",  # up to which nothing is drawn
     "full charge",  # from which on nothing is stored
     "source rise",
+    "depletes",  # whether a control uses the charge up first
+    "start temperature",
     "temperature",
     "lowest supply voltage",
     "lowest module voltage",

@@ -57,7 +57,7 @@ class ParallelControlParameters(Parameters):
     )
     v_decel: float = param("m/s", "speed below which the engine is off while no torque is asked for", 0.0, ge=0, le=1e3)
     min_share: float = param("1", "least engine torque below soc_low over the largest at the speed", 0.4, ge=0, le=1)
-    charge_depleting: float = param("1", "1 to use the battery up before the engine charges it", 0.0, ge=0, le=1)
+    charge_depleting: float = param("1", "1 to use the battery up before the engine charges it", 0.0, ge=0, le=1, tag="depletes")
     omega_idle: float = param("rad/s", "idling speed; the engine is off below it", 0.0, ge=0, le=1e4)
     launch_share: float = param(
         "1", "launch speed over the engine's highest; at least 1.5 times idling speed", 1 / 6, ge=1e-3, le=0.999, tag="launch share"

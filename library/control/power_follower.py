@@ -41,7 +41,7 @@ class PowerFollowerParameters(Parameters):
     t_off_min: float = param("s", "shortest time off; very long for a thermostat", 1e9, ge=0, le=1e12)
     P_rise: float = param("W/s", "fastest rise of the source's power", 0.0, ge=0, le=1e9, tag="source rise")
     P_fall: float = param("W/s", "fastest fall of the source's power", 0.0, ge=0, le=1e9)
-    charge_depleting: float = param("1", "1 to start the source only in the lower half of the window", 0.0, ge=0, le=1)
+    charge_depleting: float = param("1", "1 to start the source only in the lower half of the window", 0.0, ge=0, le=1, tag="depletes")
     always_on: float = param("1", "1 to keep the source on while the key is", 0.0, ge=0, le=1)
 
     relations = (Relation(lambda p: p.soc_low >= p.soc_high, "soc_low = {soc_low:g} must be below soc_high = {soc_high:g}"),)

@@ -52,7 +52,7 @@ class StoreParameters(Parameters):
     soc_start: float = param("1", "state of charge at the start", 0.7, ge=0, le=1, tag="start charge")
     soc_empty: float = param("1", "state of charge up to which nothing is drawn", SOC_EMPTY, ge=0, le=0.999, tag="empty charge")
     soc_full: float = param("1", "state of charge from which on nothing is stored", SOC_FULL, ge=1e-3, le=1, tag="full charge")
-    T_start: float = param("K", "temperature at the start", 293.15, ge=200, le=400)
+    T_start: float = param("K", "temperature at the start", 293.15, ge=200, le=400, tag="start temperature")
     T_ambient: float = param("K", "temperature of the air", 293.15, ge=200, le=400)
     T_fan: float = param("K", "temperature above which the fan runs", 308.15, ge=200, le=500)
     mass: float = param("kg", "mass of a module", ge=1e-3, le=1e4)

@@ -44,7 +44,7 @@ class ThermalMotorParameters(MotorParameters):
 
     c_p: float = param("J/(kg.K)", "specific heat", 430.0, ge=10, le=1e5)
     A: float = param("m^2", "surface, for scales of 1", ge=0, le=100)
-    T_start: float = param("K", "temperature at the start", 293.15, ge=200, le=500)
+    T_start: float = param("K", "temperature at the start", 293.15, ge=200, le=500, tag="start temperature")
     T_ambient: float = param("K", "temperature of the air", 293.15, ge=200, le=400)
     T_coolant: float = param("K", "temperature above which the coolant runs", 318.15, ge=200, le=1000)
     Q_coolant_max: float = param("W", "largest heat that the coolant takes", 1e9, ge=0, le=1e9)

@@ -49,7 +49,7 @@ COMMON = {
     ("mph", "m/s"): (0.44704, 0.0), ("km/h", "m/s"): (0.2777777777777778, 0.0), ("kW", "W"): (1000.0, 0.0),
     ("g/s", "kg/s"): (0.001, 0.0), ("J/g", "J/kg"): (1000.0, 0.0), ("g/l", "kg/m^3"): (0.9999999999999999, 0.0),
 }  # fmt: skip
-_TYPES = {int: "a whole number", str: "a text", dict: "a table"}
+_TYPES = {int: "a whole number", str: "a text", dict: "a table", list: "a list"}
 #: At most so many bad entries of one list, and unknown keys of one table, are named.
 NAMED, NAMED_KEYS = 5, 50
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from halfshaft import Cycle, InputError, Result, Vehicle, run
+from halfshaft.cosim import older
 from halfshaft.cosim.facts import facts
 from halfshaft.cosim.origin import Ratings
 from halfshaft.cosim.remarks import remarks
@@ -299,7 +300,8 @@ def as_in_format_2(plain):
 def test_a_file_without_tags_is_given_them(name, tmp_path):
     result = done(name)
     old = Result.load(rewritten(result, tmp_path / "old.nc", as_in_format_2))
-    assert old.tags == result.tags
+    # Tags that came later are for tests of vehicles.
+    assert old.tags == {name: tag for name, tag in result.tags.items() if tag in older.TAGS.values()}
     assert old.outputs == result.outputs
     assert old.summary == result.summary
     assert repr(old) == repr(result)

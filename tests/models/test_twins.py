@@ -108,7 +108,7 @@ CONVENTIONAL = {
     "close gears": {
         "gearbox.ratios_1": 9.0, "gearbox.ratios_2": 8.5, "gearbox.ratios_3": 6.0, "gearbox.ratios_4": 5.5, "gearbox.ratios_5": 3.5,
     },
-    "kept in first gear": {"shift.t_hold": 1e9},
+    "kept in third gear": {"shift.t_hold": 1e9, "shift.gear_start": 3.0},
 }  # fmt: skip
 POLYNOMIAL = {f"c{i}": {f"gearbox.c{i}": c} for i, c in enumerate((0.9, 3.0, 0.3, 0.5, 0.05, 150.0), 1)}
 WEAK = {
@@ -153,6 +153,7 @@ OVERLAPPING = {
 }
 SHIFTING = {
     "shifts": {},
+    "kept in second gear": {"shift.t_hold": 1e9, "shift.gear_start": 2.0},
     "shifts slowly": {"shift.t_shift": 0.4, "gearbox.speed_scale": 0.8, "gearbox.torque_scale": 1.3, "gearbox.J": 0.02},
 }
 COLD = {
@@ -164,6 +165,7 @@ AUTOMATIC = {
     "takes time to lock": {"shift.t_shift": 2.5, "shift.t_hold": 3.0, "shift.t_raised": 5.0},
     "locks in all gears": {"shift.lockup_1": 1.0, "shift.lockup_2": 1.0, "shift.lockup_3": 1.0, "gearbox.J": 0.02},
     "never locks": {"shift.lockup_4": 0.0},
+    "kept in third gear": {"shift.t_hold": 1e9, "shift.gear_start": 3.0},
     "large converter": {"converter.capacity_scale": 1.0, "accessories.P_on": 2500.0, "accessories.eta": 0.7, "accessories.tau_on": 1.0},
     "idles fast": {"control.omega_idle": 130.0, "converter.capacity_scale": 0.2},
     "scaled": {

@@ -4,6 +4,7 @@ from halfshaft import InputError, Vehicle, accelerate
 from halfshaft.cosim.compiled import InterpretedStep
 from halfshaft.studies import acceleration
 from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
+from halfshaft.studies.conditions import MPH
 
 CAR = Vehicle.load("small-car-electric")
 
@@ -95,6 +96,16 @@ def test_without_one_source_a_hybrid_is_slower():
     assert engine.result.account.battery <= 0 < motor.result.account.battery
     assert motor.result.account.fuel == 0
     assert max(engine.result.the("traction input")) <= 0
+
+
+def test_a_genset_alone_accelerates_as_its_power_allows():
+    # A mass m at a power P needs m v^2 / (2 P) to a speed v; losses, drag and the start of the engine come on top.
+    car = Vehicle.load("small-car-series")
+    found = AccelerationTest(resting="battery")(car)
+    least = car.mass * (60 * MPH) ** 2 / 2 / max(found.result["generator.P_out"])
+    assert least < found.figures["time_0_to_60_mph_s"] < 2 * least
+    assert found.result.inputs.mode == "hybrid"
+    assert max(found.result["battery.P_out"]) <= 0
 
 
 def test_top_speed_is_where_it_gains_no_more():

@@ -68,7 +68,7 @@ class Shift:
 
     def __init__(self, p, ratios, T_max):
         self.p, self.ratios, self.T_max, self.up, self.down = p, ratios, T_max, Look(p.up), Look(p.down)
-        self.gear, self.raised, self.since = 1, False, 15.0
+        self.gear, self.raised, self.since = round(p.gear_start), False, 15.0
 
     def choose(self, T, w, road, gearbox, dt, T_acc=0.0):
         p, G = self.p, self.ratios[self.gear - 1]
