@@ -22,6 +22,7 @@ sum of its parts.  Every size is tested on the vehicle's own step; nothing is dr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -52,6 +53,8 @@ Key: TypeAlias = tuple[tuple[Kind, int], ...]
 ROUNDS, SETTLED = 10, 4
 #: So often goals that nothing meets give way.
 PASSES = 2
+#: Factors on the final drive's ratio that are tried, the unchanged one first.
+RATIOS = tuple(sorted((round(1.04**i, 4) for i in range(-8, 9)), key=lambda x: abs(math.log(x))))
 #: An engine that shares with a motor is sought for acceleration up to so many times its size for what is sustained.
 MOST_ALONE = 3
 
@@ -180,10 +183,11 @@ class Sized:
 
     @property
     def changed(self) -> list[str]:
-        """Names of the vehicle's numbers that are its sizes."""
+        """Names of the vehicle's numbers that are its sizes, and of the ratios that were changed."""
         tags = self.vehicle.tags
         followers = tags.all_of("follows source") if "source" in self.after else []
-        return [*(name for kind in self.after for name in tags.all_of(TAGS[kind])), *followers]
+        ratios = [name for name in tags.all_of("final ratio") if self.vehicle.values[name] != self.base.values[name]]
+        return [*(name for kind in self.after for name in tags.all_of(TAGS[kind])), *followers, *ratios]
 
     def plot(self, path: str | Path | None = None) -> Picture:
         """Draw how sizes and goals went; with a path into a PNG, SVG or PDF file."""
@@ -243,6 +247,8 @@ class Autosize:
         Which sizes may change, of ``source``, ``store`` and ``drive``; all that the vehicle has if none is named.
     limits
         Lowest and highest size by kind: power of source and drive [W], number of the store's modules.
+    ratio
+        Whether to try ratios of the final drive too, from 0.73 to 1.37 times the vehicle's, for the one with which the parts weigh least.
 
     """
 
@@ -254,6 +260,7 @@ class Autosize:
     hybridisation: float | None = None
     sizes: tuple[Kind, ...] = ()
     limits: Mapping[Kind, tuple[float, float]] = field(default_factory=dict)
+    ratio: bool = False
     name: str = "autosize"
 
     def all_goals(self) -> tuple[tuple[Goal, ...], list[str]]:
@@ -275,7 +282,9 @@ class Autosize:
             found.append(f"preset = {self.preset!r}, must be {' or '.join(PRESETS)}")
         if self.hybridisation is not None and not 0 <= number(self.hybridisation) <= 1:
             found.append(f"hybridisation = {self.hybridisation:g}, must be >= 0 and <= 1")
-        elif self.hybridisation is not None and powertrains()[vehicle.powertrain].hybridisation is None:
+        if self.ratio and not vehicle.tags.all_of("final ratio"):
+            found.append(f"ratio: vehicle '{vehicle.name}' has no final drive")
+        if self.hybridisation is not None and powertrains()[vehicle.powertrain].hybridisation is None:
             found.append(f"hybridisation: the powertrain {vehicle.powertrain} has no engine that drives the wheels beside a motor")
         return found
 
@@ -290,8 +299,26 @@ class Autosize:
         """
         if wrong := self.problems(vehicle):
             raise InputError("autosize", wrong)
-        rules = RULES[self.preset]
-        car = pinned(vehicle)
+        return self._geared(vehicle) if self.ratio else self._sized(vehicle, vehicle)
+
+    def _geared(self, vehicle: Vehicle) -> Sized:
+        """Return the lightest of the vehicles with several ratios of the final drive."""
+        names = vehicle.tags.all_of("final ratio")
+        cars = [vehicle.with_values({name: x * vehicle.values[name] for name in names}) if x != 1 else vehicle for x in RATIOS]
+        found = [self._sized(car, vehicle) for car in cars]
+
+        def weight(sized: Sized) -> tuple[int, int]:
+            # Less than 1 kg is no reason for another ratio: of equals the first wins, which is nearest to that of the vehicle.
+            return sum(not r.met for r in sized.goals), round(sum(p.weight for p in sized.vehicle.parameters.values()))
+
+        best = min(range(len(found)), key=lambda i: weight(found[i]))
+        note = f"the ratio of the final drive is {RATIOS[best]:.3g} times what it was, the best of {len(RATIOS)} that were tried"
+        goals = (replace(after, before=own.before) for after, own in zip(found[best].goals, found[0].goals, strict=True))
+        return replace(found[best], before=found[0].before, goals=tuple(goals), notes=(*found[best].notes, note))
+
+    def _sized(self, vehicle: Vehicle, base: Vehicle) -> Sized:
+        """Return the vehicle with its smallest sizes; `base` is the one that was given."""
+        rules, car = RULES[self.preset], pinned(vehicle)
         goals, _ = self.all_goals()
         sizes = sizes_of(car, self.sizes or KINDS, rules.bounds, self.limits)
         share = powertrains()[vehicle.powertrain].hybridisation
@@ -309,7 +336,7 @@ class Autosize:
             notes.append("the mass is set, so it does not follow the sizes")
         return Sized(
             vehicle=replace(found, name=f"{vehicle.name}-sized", title=f"{vehicle.title}, sized"),
-            base=vehicle,
+            base=base,
             status="not met" if missed else "met",
             preset=self.preset,
             before={kind: amount(car, kind) for kind in sizes},

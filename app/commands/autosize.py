@@ -58,6 +58,7 @@ def _autosize(
     limit: Annotated[
         list[str] | None, typer.Option(metavar="KIND=A..B", help="Limits of a size: source=20..80kW or store=10..40 modules; repeatable.")
     ] = None,
+    ratio: Annotated[bool, typer.Option("--ratio", help="Also choose the ratio of the final drive.")] = False,
     mass: Mass = None,
     values: Values = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write the vehicle to this TOML file.")] = None,
@@ -75,7 +76,7 @@ def _autosize(
     checks.picture(plot, "--plot")
     limits = _limits(limit or [], checks)
     # What is not allowed is found by the task, with all else that is wrong.
-    given: dict[str, Any] = {"preset": preset, "sizes": tuple(size or ()), "limits": limits}
+    given: dict[str, Any] = {"preset": preset, "sizes": tuple(size or ()), "limits": limits, "ratio": ratio}
     given |= {name: _goals(texts) for name, texts in (("accelerations", accel), ("grades", grade)) if texts}
     task = Autosize(top_speed=None if top_speed == NONE else top_speed, hybridisation=hybridisation, **given)
     if found is not None:

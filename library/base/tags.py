@@ -36,6 +36,7 @@ Tag: TypeAlias = Literal[
     # Of gears.
     "gear",
     "gear ratios",
+    "final ratio",
     "start gear",
     "shift time",
     "hold time",

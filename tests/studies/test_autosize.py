@@ -14,6 +14,7 @@ from halfshaft.studies.autosize import Autosize
 from halfshaft.studies.conditions import MPH
 from halfshaft.studies.goals import Goal
 from halfshaft.studies.gradeability import GradeabilityTest
+from halfshaft.studies.sweep import sweep
 from halfshaft.studies.task import Found
 
 NAMES = ("small-car-series", "small-car-parallel", "small-car-conventional", "small-car-electric")
@@ -209,6 +210,16 @@ class Nothing:
         return Found({"none": None})
 
 
+def test_another_ratio_of_the_final_drive_makes_a_lighter_car():
+    options = {"accelerations": ("0-60mph=12",), "top_speed": None, "grades": ()}
+    own, other = sized("small-car-conventional", **options), sized("small-car-conventional", **options, ratio=True)
+    assert other.vehicle.mass < own.vehicle.mass
+    assert other.vehicle.values["final_drive.i"] in [round(1.04**i, 4) for i in range(-8, 9)]
+    assert "final_drive.i" in other.changed
+    assert [r.before for r in other.goals] == [r.before for r in own.goals]
+    assert other.figures["time_0_to_60_mph_s"] <= 12
+
+
 def test_only_some_sizes_may_change():
     found = Autosize(sizes=("drive",), accelerations=("0-60mph=14",))(CARS["small-car-electric"])
     assert found.vehicle.values["battery.n_modules"] == 25
@@ -247,6 +258,7 @@ def test_all_that_is_wrong_is_told_at_once():
         "goal x: tolerance = -1, must be >= 0 and finite",
         "preset = '2010', must be exact or 1999",
         "hybridisation = 2, must be >= 0 and <= 1",
+        "hybridisation: the powertrain electric has no engine that drives the wheels beside a motor",
     ]
 
 
@@ -310,3 +322,10 @@ def test_the_command_tells_all_that_is_wrong():
     assert done.exit_code == 2
     for said in ("limited by its number of modules", "--limit much", "grade '6'", "top speed 'fast'", "must end in .toml", "size 'engine'"):
         assert said in done.stderr
+
+
+def test_a_sweep_can_size_each_of_its_cars():
+    task = Autosize(accelerations=("0-60mph=12",), grades=(), top_speed=None)
+    found = sweep(CARS["small-car-conventional"], {"body.c_d": [0.25, 0.4]}, task, workers=1)
+    assert list(found["met"].values) == [1, 1]
+    assert found["source_W"].values[0] < found["source_W"].values[1]
