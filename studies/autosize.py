@@ -38,7 +38,6 @@ from halfshaft.studies.conditions import Routine
 from halfshaft.studies.goals import Goal, read_goals
 from halfshaft.studies.search import Least, by_halving, by_root
 from halfshaft.studies.sizes import KINDS, NAMED, TAGS, Bounds, Kind, Size, amount, pinned, power, problems, sizes_of
-from halfshaft.studies.task import Task
 
 if TYPE_CHECKING:
     from halfshaft.cosim.plot import Picture
@@ -326,10 +325,11 @@ class Autosize:
         if beside and self.hybridisation is not None:
             share = self.hybridisation
         bench = _Bench(car, sizes, goals, rules, beside=beside)
-        before = {goal: bench.value(bench.given, goal, "before") for goal in goals}
+        before = [bench.value(bench.given, goal, "before") for goal in goals]
         state, shared, notes = _found(bench, share)
         found = bench.car(state)
-        reached = tuple(Reached(goal, before[goal], bench.value(state, goal, "after"), bench.does(state, (goal,))) for goal in goals)
+        after = [bench.value(state, goal, "after") for goal in goals]
+        reached = tuple(Reached(goal, x, y, goal.met(y)) for goal, x, y in zip(goals, before, after, strict=True))
         missed = [r for r in reached if not r.met]
         notes += [f"no sizes within the limits reach {r.goal.title} {r.goal.wanted}" for r in missed]
         if car.tags.the("vehicle mass") in car.given:
@@ -357,7 +357,8 @@ class _Bench:
         self.start: State = {kind: size.within(round(car.values[size.first] / size.step)) for kind, size in sizes.items()}
         self.beside = beside
         self._cars: dict[Key, Vehicle] = {}
-        self._found: dict[Key, dict[Task, Mapping[str, float | None]]] = {}
+        # Tasks need not have a hash; goals of one task share the object.
+        self._found: dict[Key, dict[int, Mapping[str, float | None]]] = {}
         self._aims: dict[Key, str] = {}
 
     def best(self, goals: Sequence[Goal]) -> State:
@@ -377,13 +378,13 @@ class _Bench:
         """Return what a goal's figure is with these sizes."""
         key = _key(state)
         self._aims.setdefault(key, aim)
-        found = self._found.setdefault(key, {})
-        if goal.task not in found:
-            found[goal.task] = goal.task(self.car(state)).figures
-            if goal.figure not in found[goal.task]:
-                known = ", ".join(found[goal.task])
-                raise InputError("autosize", [f"goal {goal.title}: task {goal.task.name} finds no {goal.figure}; it finds {known}"])
-        return found[goal.task].get(goal.figure)
+        found, task = self._found.setdefault(key, {}), id(goal.task)
+        if task not in found:
+            found[task] = goal.task(self.car(state)).figures
+        if goal.figure not in found[task]:
+            known = ", ".join(found[task])
+            raise InputError("autosize", [f"goal {goal.title}: task {goal.task.name} finds no {goal.figure}; it finds {known}"])
+        return found[task][goal.figure]
 
     def margin(self, state: State, goal: Goal, aim: str = "check") -> float:
         """Return how well a goal is met; at least 0 where that will do."""
@@ -441,8 +442,9 @@ class _Bench:
         rows = []
         for key, found in self._found.items():
             car = self._cars[key]
-            values = {goal.title: found[goal.task][goal.figure] for goal in self.goals if goal.task in found}
-            margins = {goal.title: goal.margin(values[goal.title]) for goal in self.goals if goal.task in found}
+            seen = [goal for goal in self.goals if id(goal.task) in found]
+            values = {goal.title: found[id(goal.task)][goal.figure] for goal in seen}
+            margins = {goal.title: goal.margin(values[goal.title]) for goal in seen}
             rows.append(Trial(self._aims[key], {kind: amount(car, kind) for kind in self.sizes}, car.mass, values, margins))
         return rows
 
@@ -473,8 +475,9 @@ def _rounds(bench: _Bench, goals: tuple[Goal, ...], share: float | None, start: 
     """Return the sizes at which nothing changes any more, from a start, with the source's if it shares, and what is to be said."""
     sizes, state, shared, least, needed = bench.sizes, start, None, 0, 0
     hybrid = bool(power(bench.base, "source") and power(bench.base, "store"))
-    sustained, rest = (tuple(goal for goal in goals if not hybrid or goal.sustained is which) for which in (True, False))
-    if hybrid and share is not None and "source" in sizes:
+    split = hybrid and "store" in sizes
+    sustained, rest = (tuple(goal for goal in goals if not split or goal.sustained is which) for which in (True, False))
+    if split and share is not None and "source" in sizes:
         least = shared = _shared(bench, sustained, rest, share)
     for i in range(ROUNDS):
         begun = state
@@ -493,6 +496,8 @@ def _rounds(bench: _Bench, goals: tuple[Goal, ...], share: float | None, start: 
                 state, _ = bench.smallest(state, "source", goals, least=state["source"], follow=needed)
                 least = state["source"]
                 state, _ = _stored(bench, state, rest, needed)
+        elif "drive" in sizes and not bench.does(state, goals):
+            state, _ = bench.smallest(state, "drive", goals)
         state = _trimmed(bench, state, rest or goals, needed)
         if state == begun:
             return state, shared, []

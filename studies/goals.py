@@ -125,6 +125,7 @@ def read_goals(
 
     """
     problems: list[str] = []
+    accelerations, grades = ((x,) if isinstance(x, str) else x for x in (accelerations, grades))
     times = list(_times(accelerations, problems))
     top = _top(top_speed, problems)
     goals: list[Goal] = []

@@ -26,6 +26,8 @@ UNITS: Mapping[Kind, str] = {"source": "W", "store": "modules", "drive": "W"}
 NAMED: Mapping[Kind, tuple[str, str, float, int]] = {
     "source": ("source", "kW", 1e3, 1), "store": ("store", "modules", 1.0, 0), "drive": ("drive", "kW", 1e3, 1),
 }  # fmt: skip
+#: Highest voltage of a store where nothing else says what it may be [V].
+U_USUAL = 480.0
 #: Step of a factor.
 FINE = 0.001
 
@@ -126,8 +128,9 @@ def sizes_of(vehicle: Vehicle, kinds: tuple[Kind, ...], bounds: Bounds, limits: 
             low, high = _modules(vehicle, bounds)
         else:
             low, high = bounds.power[kind], bounds.factor[kind] * (first if names[0] in counted else 1.0) / step * per_step
-        n_low = max(1, math.ceil(low / per_step - 1e-9))
-        n_high = max(n_low, math.floor(high / per_step + 1e-9))
+        spec = vehicle.specs[names[0]]
+        n_low = max(math.ceil(low / per_step - 1e-9), math.ceil((spec.lowest or 0.0) / step), 1)
+        n_high = max(n_low, math.floor(min(high / per_step + 1e-9, (spec.highest or math.inf) / step)))
         shares = {name: vehicle.values[name] / first for name in (*names, *followers)}
         found[kind] = Size(kind, shares, counted, n_low, n_high)
     return found
@@ -138,9 +141,9 @@ def _modules(vehicle: Vehicle, bounds: Bounds) -> tuple[float, float]:
     tags, values = vehicle.tags, vehicle.values
     U_needed = max((values[name] for name in tags.all_of("lowest supply voltage")), default=0.0)
     u_min, u_max = values[tags.all_of("lowest module voltage")[0]], values[tags.all_of("highest module voltage")[0]]
-    U_highest = bounds.U_highest or 5 * U_needed
+    U_highest = bounds.U_highest or 5 * U_needed or U_USUAL
     n = len(tags.all_of(TAGS["store"]))
-    low = n * max(1.0, math.ceil(U_needed / u_min - 1e-9) if u_min else 1.0)
+    low = n * max(1.0, math.ceil(U_needed / (u_min or u_max) - 1e-9))
     return low, max(low, n * math.floor(U_highest / u_max))
 
 
