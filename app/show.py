@@ -22,13 +22,15 @@ from halfshaft.library.files.component_file import LARGEST, ComponentFile, compo
 from halfshaft.library.files.texts import read_text
 from halfshaft.models.powertrain import powertrains
 from halfshaft.models.vehicle import Vehicle, vehicle_names
+from halfshaft.studies.procedure_file import Plan, procedure_names
 
 Rows = tuple[list[str], list[list[str]]]
 
 
 def print_list(what: str, kind: str | None = None) -> None:
     """Print what the library has; of components, all or those of one kind."""
-    headings, rows = _component_rows(kind) if what == "components" else _vehicle_rows() if what == "vehicles" else _cycle_rows()
+    shelves = {"vehicles": _vehicle_rows, "cycles": _cycle_rows, "procedures": _procedure_rows}
+    headings, rows = _component_rows(kind) if what == "components" else shelves[what]()
     table = new_table()
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="right" if "[" in heading else "left", no_wrap=i == 0, overflow="fold")
@@ -66,6 +68,13 @@ def _cycle_rows() -> Rows:
         s = c.statistics()
         rows.append([c.name, f"{s.duration:g}", f"{s.distance / 1000:.2f}", f"{s.v_max * 3.6:.1f}", c.title])
     return ["cycle", "time \\[s]", "distance \\[km]", "top \\[km/h]", "title"], rows
+
+
+def _procedure_rows() -> Rows:
+    plans = [Plan.load(name) for name in procedure_names()]
+    return ["procedure", "for", "title"], [
+        [p.name, ", ".join(dict.fromkeys(k for t in p.tests for k in t.vehicles)), p.title] for p in plans
+    ]
 
 
 def print_named(name: str, units: Units = "metric") -> None:

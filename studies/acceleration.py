@@ -36,6 +36,8 @@ DT = 0.1
 
 #: Time that the request is held at first, and at most [s]; each try holds it four times as long as the one before.
 DURATIONS = (50.0, 200.0, 800.0, 3200.0)
+#: The request is not held longer [s].
+LONGEST = 1e5
 #: A vehicle that gains no more than this over the last tenth of a run gets no faster [m/s].
 STEADY = 0.05
 #: The same where the top speed is what is asked for [m/s].
@@ -210,10 +212,12 @@ class AccelerationTest(Conditions):
             return [*problems, f"unit = {self.unit!r}, must be {' or '.join(IN_MPS)}"]
         highest = REQUEST / IN_MPS[self.unit]
         for low, high in self.pairs:
-            if not 0 <= low < high < highest:
-                problems.append(f"speeds {low:g} to {high:g} {self.unit}, must rise from >= 0 to < {highest:.0f} {self.unit}")
+            if not 0 <= number(low) < number(high) < highest:
+                problems.append(f"speeds {low} to {high} {self.unit}, must rise from >= 0 to < {highest:.0f} {self.unit}")
         for what, unit, values in (("time", "s", self.within), ("distance", "m", self.over)):
-            problems += [f"{what} {x:g} {unit}, must be > 0 {unit} and finite" for x in values if not 0 < x < math.inf]
+            problems += [f"{what} {x} {unit}, must be > 0 {unit} and finite" for x in values if not 0 < number(x) < math.inf]
+        if self.duration is not None and not T_START < number(self.duration) <= LONGEST:
+            problems.append(f"duration = {self.duration} s, must be > {T_START:g} s and <= {LONGEST:g} s")
         return problems
 
     def __call__(self, vehicle: Vehicle) -> Accelerated:

@@ -111,15 +111,15 @@ class GradeabilityTest(Conditions):
         if self.routine not in TOLERANCES:
             problems.append(f"routine = {self.routine!r}, must be 1999 or 2000")
         if not 0 < number(self.speed) <= 1000:
-            problems.append(f"speed = {self.speed:g} m/s, must be > 0 m/s and <= 1000 m/s")
+            problems.append(f"speed = {self.speed} m/s, must be > 0 m/s and <= 1000 m/s")
         if self.grade is not None and not -1 <= number(self.grade) <= 1:
-            problems.append(f"grade = {self.grade:g}, must be >= -1 and <= 1")
+            problems.append(f"grade = {self.grade}, must be >= -1 and <= 1")
         if not 0 < number(self.dt) <= LONGEST:
-            problems.append(f"dt = {self.dt:g} s, must be > 0 s")
+            problems.append(f"dt = {self.dt} s, must be > 0 s")
         elif not 3 * self.dt <= number(self.duration) <= LONGEST:
-            problems.append(f"duration = {self.duration:g} s, must be three steps of {self.dt:g} s at least and {LONGEST:g} s at most")
+            problems.append(f"duration = {self.duration} s, must be three steps of {self.dt} s at least and {LONGEST:g} s at most")
         if self.tolerance is not None and not 0 < number(self.tolerance) < 1:
-            problems.append(f"tolerance = {self.tolerance:g}, must be > 0 and < 1")
+            problems.append(f"tolerance = {self.tolerance}, must be > 0 and < 1")
         return problems
 
     def __call__(self, vehicle: Vehicle) -> Climbed:

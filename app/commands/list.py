@@ -10,7 +10,7 @@ from halfshaft.app.program import app
 from halfshaft.library.base.errors import HalfshaftError
 
 #: What the library has.
-Shelf = Literal["vehicles", "components", "cycles"]
+Shelf = Literal["vehicles", "components", "cycles", "procedures"]
 
 
 @app.command(

@@ -164,11 +164,18 @@ def _pair(checks: Checks, text: str) -> tuple[float, float] | None:
 
 
 def _gradeability(checks: Checks, _: str, given: Mapping[str, Any], mode: Mode | None, units: Units) -> Task | None:
+    from halfshaft.cosim.cycle import FASTEST
     from halfshaft.studies.gradeability import GradeabilityTest
 
-    speed, grade = given["--speed"], given["--grade"]
+    unit, speed, grade = SYSTEMS[units]["speed"], given["--speed"], given["--grade"]
+    if speed is not None and not 0 < speed / unit.of(1.0) <= FASTEST:
+        checks.problem(f"--speed {speed:g} {unit.name}, must be > 0 {unit.name} and <= {unit.of(FASTEST):.0f} {unit.name}")
+        speed = None
+    if grade is not None and not -100 <= grade <= 100:
+        checks.problem(f"--grade {grade:g} %, must be >= -100 % and <= 100 %")
+        grade = None
     own = _some(
-        speed=None if speed is None else speed / SYSTEMS[units]["speed"].of(1.0),
+        speed=None if speed is None else speed / unit.of(1.0),
         grade=None if grade is None else grade / 100,
         gear=given["--gear"],
         duration=given["--duration"],

@@ -9,6 +9,7 @@ from halfshaft.app.figures import figure_rows
 from halfshaft.studies.acceleration import AccelerationTest
 from halfshaft.studies.conditions import MPH
 from halfshaft.studies.gradeability import GradeabilityTest
+from halfshaft.studies.procedure_file import procedure_names
 
 
 @pytest.fixture(autouse=True)
@@ -84,6 +85,11 @@ def test_a_procedure_shows_what_it_reports(tmp_path):
     assert "top speed" in done("small-car-electric", "top-speed")
 
 
+def test_the_procedures_are_listed():
+    shown = CliRunner().invoke(app, ["list", "procedures"]).stdout
+    assert all(f" {name} " in shown for name in procedure_names())
+
+
 def test_all_that_is_wrong_is_named_at_once():
     said = refused("small-car-conventional", "top-speed", "--grade", 3, "--soc", 2, "--set", "engine.x=1", "--correction", "linear")
     for text in (
@@ -91,6 +97,9 @@ def test_all_that_is_wrong_is_named_at_once():
         "soc = 2.0, must be >= 0 and <= 1", "engine.x is not known",
     ):  # fmt: skip
         assert text in said
+    said = refused("small-car-conventional", "gradeability", "--speed", -30, "--grade", 300)
+    assert "--speed -30 km/h, must be > 0 km/h and <= 3600 km/h" in said
+    assert "--grade 300 %, must be >= -100 % and <= 100 %" in said
     assert "must be two speeds such as 0-100" in refused("small-car-electric", "acceleration", "--from-to", "fast")
     assert "did you mean 'gradeability'?" in refused("small-car-electric", "gradeabilty")
     assert "--soc is for acceleration and gradeability and top-speed, not for a procedure" in refused(
