@@ -21,7 +21,7 @@ demo: .venv/.installed  ## drive a series hybrid over US06, as an FMU, and plot 
 	$(BIN)/halfshaft run small-car-series --cycle us06 --via fmu3 --plot $(DEMO)/us06.png
 
 test: .venv/.installed-dev  ## run the tests
-	$(BIN)/python -m pytest -n 2 tests
+	$(BIN)/python -m pytest -n 2 --dist worksteal tests
 
 lint: .venv/.installed-dev  ## check style, format and types
 	$(BIN)/ruff check .

@@ -30,7 +30,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
+from rich.table import Column, Table
 from typer.core import TyperGroup
 
 from halfshaft.cosim.units import Units, shown
@@ -177,10 +177,12 @@ def counted(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: None
         return
     columns = (
-        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
-        TimeRemainingColumn(),
+        # On a narrow terminal the numbers count, and the name is cut.
+        TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")),
+        BarColumn(16), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
     )  # fmt: skip
-    with Progress(*columns, console=terminal, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
+    progress = Progress(*columns, console=terminal, transient=True, expand=True, redirect_stdout=False, redirect_stderr=False)
+    with progress:
         tasks: list[TaskID] = []
 
         def tell(done: int, total: int) -> None:

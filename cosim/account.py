@@ -85,11 +85,12 @@ def account(outputs: Sequence[Description], energies: Mapping[str, float]) -> Ac
             total[d.booking] = total.get(d.booking, 0.0) + energies[d.name]
         if d.booking == "loss":
             losses[d.name] = energies[d.name]
-    names = dict.fromkeys(part_of(d.name) for d in outputs)
+    owned: dict[str, dict[str, float]] = {}
+    for d in outputs:
+        owned.setdefault(part_of(d.name), {})[d.name] = energies[d.name]
     entering = {booking: [d.name for d in outputs if d.booking == booking] for booking in ("fuel", "stored")}
     parts = []
-    for name in names:
-        own = {d.name: energies[d.name] for d in outputs if d.name.startswith(f"{name}.")}
+    for name, own in owned.items():
         received = [x for n, x in own.items() if n.split(".")[1].startswith("P_in") and not n.endswith("required")]
         received += [own[n] for names_in in entering.values() for n in names_in if n in own]
         lost = sum(x for n, x in own.items() if n in losses)

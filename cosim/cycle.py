@@ -328,24 +328,29 @@ class Cycle:
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """What of this trace no car drives: the noise of a recorder, with its numbers; empty for a good one."""
-        found, dt = list(self.notes), np.diff(self.time)
+        """What of this trace no car drives: gaps and noise of a recorder, with their numbers; empty for a good one."""
+        from halfshaft.cosim.recording import gaps  # which makes cycles
+
+        told = list(self.notes)
+        if self._spacing <= 1 + 1e-6:
+            told += [f"{gap}, taken for a straight line" for gap in gaps(self) if gap.moving]
+        noise, dt = list[str](), np.diff(self.time)
         s = self.statistics()
         steep = np.abs(np.diff(self.speed)) > DOUBTFUL_ACCELERATION * dt
         if np.sum(steep) >= max(3, len(dt) / 100):
             worst = max(s.a_max, -s.a_min)
-            found.append(
+            noise.append(
                 f"the trace asks for more than {DOUBTFUL_ACCELERATION:g} m/s2 at {np.sum(steep)} of {len(dt)} points, for up to {worst:.3g}"
             )
         if s.stops > max(4.0, self.duration / DOUBTFUL_STOPS):
-            found.append(f"the trace stops {s.stops} times, every {self.duration / s.stops:.2g} s")
+            noise.append(f"the trace stops {s.stops} times, every {self.duration / s.stops:.2g} s")
         if self._spacing < 1 - 1e-6:
             work, smooth = _work(self.speed), _work(self.smoothed(2.0).speed)
             if work > DOUBTFUL_WORK * smooth:
-                found.append(f"the trace accelerates {work / smooth:.3g} times as much as smoothed over 2 s: noise, which costs energy")
-        if len(found) > len(self.notes):
-            found[-1] += " (smooth it: --smooth 2 or Cycle.smoothed(2))"
-        return tuple(found)
+                noise.append(f"the trace accelerates {work / smooth:.3g} times as much as smoothed over 2 s: noise, which costs energy")
+        if noise:
+            noise[-1] += " (smooth it: --smooth 2 or Cycle.smoothed(2))"
+        return (*told, *noise)
 
     @cached_property
     def _spacing(self) -> float:

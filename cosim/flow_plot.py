@@ -6,22 +6,29 @@ where the vehicle's motion gave it back; losses leave each part.  So each part s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path as File
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
 from halfshaft.cosim.flows import Flow, Flows, flows
-from halfshaft.cosim.plot import INK, SOFT, STYLE, Picture, plot_problems
+from halfshaft.cosim.plot import INK, SOFT, STYLE, Picture, labels_of, plot_problems
 from halfshaft.cosim.result import Result
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.files.writing import written_whole
 
 # Shades of the palette of Okabe and Ito, on which dark text can be read; they differ in lightness too.
 FUEL, ELECTRIC, MECHANIC, BACK, LOSS, REST = "#e39a78", "#86c5ee", "#c3ccd4", "#4fb597", "#f3cc6b", "#e3e3e3"
+#: What the colours mean.
+KEYS = {
+    FUEL: "fuel", ELECTRIC: "electricity", MECHANIC: "shafts, tyres", BACK: "coming back", LOSS: "lost",
+    REST: "in motion, method's own error",
+}  # fmt: skip
 #: Height of the thickest part, distance of two parts, and width of a part [in].
 _THICK, _COLUMN, _BAR = 1.5, 1.12, 0.07
 #: Room between the lanes forth and back, from a part down to where its losses end, and between two lanes of parts [in].
@@ -32,37 +39,55 @@ _REACH, _ARROW, _LINE = 0.6, 0.09, 0.145
 _SMALL = 0.002
 
 
-def plot_flows(result: Result, *, path: str | File | None = None) -> Picture:
-    """Draw where the energy of a run flowed.
+def plot_flows(*results: Result, labels: Sequence[str] | None = None, path: str | File | None = None) -> Picture:
+    """Draw where the energy of a run flowed, or of several, one below the other to the same scale.
 
     Parameters
     ----------
-    result
-        The run; without time series, what came back is taken off what went forth.
+    results
+        The runs; without time series, what came back is taken off what went forth.
+    labels
+        Names of several runs; without them, what tells the runs apart.
     path
         A PNG, SVG or PDF file to write, whole or not at all.
 
     Raises
     ------
     InputError
-        If the file cannot be written, or a loaded run does not say what its vehicle was made of.
+        If the file cannot be written, a run moved no energy, or a loaded one does not say what its vehicle was made of.
 
     """
-    if path is not None and (problems := plot_problems(File(path))):
-        raise InputError(str(path), problems)
+    problems = plot_problems(File(path)) if path is not None else []
+    problems += [] if results else ["there is no run to draw"]
+    if labels is not None and len(labels) != len(results):
+        problems.append(f"{len(labels)} labels for {len(results)} runs")
+    if problems:
+        raise InputError(str(path) if path is not None else "plot", problems)
+    found = [flows(result) for result in results]
+    scale = _THICK / max(map(_thickest, found))
     with mpl.rc_context(STYLE):
-        figure = _drawn(result, _Layout(flows(result)))
+        figure = _drawn(results, [_Layout(each, scale) for each in found], labels or labels_of(results))
         if path is not None:
             with written_whole(path) as part:
                 figure.savefig(part, dpi=200, facecolor="white")
     return figure
 
 
+def _thickest(found: Flows) -> float:
+    """Return the most that goes through one side of a part [J]."""
+    left = {name: s.burnt + s.drawn + s.charged for name, s in found.stations.items()}
+    right = {name: s.lost + max(s.rest, 0.0) for name, s in found.stations.items()}
+    for f in found.flows:
+        left[f.load] += f.forth + f.back
+        right[f.supply] += f.forth + f.back
+    return max(*left.values(), *right.values())
+
+
 class _Layout:
     """Where everything lies: x to the right and y downward [in]; columns are counted from the road, lanes from the top."""
 
-    def __init__(self, found: Flows) -> None:
-        self.found, self.stations = found, found.stations
+    def __init__(self, found: Flows, scale: float) -> None:
+        self.found, self.stations, self.scale = found, found.stations, scale
         self.into = {name: [f for f in found.flows if f.load == name] for name in self.stations}
         self.out = {name: [f for f in found.flows if f.supply == name] for name in self.stations}
         self.column = dict.fromkeys(self.stations, 0)
@@ -74,9 +99,6 @@ class _Layout:
         (self.road,) = [name for name in self.stations if not self.out[name]]
         self._choose_lane(self.road)
         self.up = self._upward()
-        most = max(max(self._left(name), self._right(name)) for name in self.stations)
-        self.scale = _THICK / (most or 1.0)
-        #: Where the lanes forth and back of each flow begin at its supply and end at its load.
         self.top = dict.fromkeys(self.stations, 0.0)
         self.height = {name: max(self._stack(name, "left"), self._stack(name, "right")) for name in self.stations}
         self._align()
@@ -109,14 +131,6 @@ class _Layout:
         above = self.lanes > 1 and main == 0
         return {name for name, lane in self.lane.items() if name not in trunk and (lane < main or (lane == main and above))}
 
-    def _left(self, name: str) -> float:
-        s = self.stations[name]
-        return s.burnt + s.drawn + s.charged + sum(f.forth + f.back for f in self.into[name])
-
-    def _right(self, name: str) -> float:
-        s = self.stations[name]
-        return s.lost + max(s.rest, 0.0) + sum(f.forth + f.back for f in self.out[name])
-
     def lost(self, name: str) -> float:
         """Return the width of what leaves a part for good."""
         s = self.stations[name]
@@ -128,11 +142,15 @@ class _Layout:
         total = sum(self.width(f) for f in both)
         if side == "right":
             return total + (self.lost(name) if name != self.road else 0.0)
-        return total + self.scale * (s.burnt + s.drawn + s.charged) + (_GAP if s.charged else 0.0)
+        return total + self.scale * s.burnt + self.pair(s.drawn, s.charged)
+
+    def pair(self, forth: float, back: float) -> float:
+        """Return the width of two lanes."""
+        return self.scale * (forth + back) + (_GAP if forth and back else 0.0)
 
     def width(self, f: Flow) -> float:
         """Return the width of a flow with both of its lanes."""
-        return self.scale * (f.forth + f.back) + (_GAP if f.back and f.forth else 0.0)
+        return self.pair(f.forth, f.back)
 
     def start(self, f: Flow) -> float:
         """Return where a flow begins, below the top of its supply."""
@@ -153,6 +171,11 @@ class _Layout:
             return -(_DROP + texts) if beyond else 0.0, self.height[name] + named
         out = sum(map(self.width, self.out[name]))
         return -named, max(self.height[name], out + beyond)
+
+    def span(self) -> tuple[float, float]:
+        """Return the highest and the lowest place that is taken."""
+        both = [(self.top[name] + high, self.top[name] + low) for name in self.stations for high, low in [self.extent(name)]]
+        return min(high for high, _ in both), max(low for _, low in both)
 
     def losses(self, name: str) -> list[tuple[str, float]]:
         """Return what leaves a part for good and is worth a text, the largest first."""
@@ -186,35 +209,37 @@ class _Layout:
             placed += mine
 
 
-def _drawn(result: Result, lay: _Layout) -> Picture:
-    spans = [(lay.top[name] + high, lay.top[name] + low) for name in lay.stations for high, low in [lay.extent(name)]]
-    highest, lowest = min(a for a, _ in spans), max(b for _, b in spans)
-    left, right, head, foot = 1.75, 2.2, 0.95, 0.5
-    wide, high = left + lay.last * _COLUMN + right, head + lowest - highest + foot
+def _drawn(results: Sequence[Result], lays: Sequence[_Layout], labels: Sequence[str]) -> Picture:
+    """Draw the runs one below the other, their roads aligned."""
+    one = results[0].inputs if len(results) == 1 else None
+    left, right, margin, head, name, foot = 1.75, 2.2, 0.3, 0.85, 0.1 if one else 0.45, 0.5
+    columns = max(lay.last for lay in lays)
+    spans = [lay.span() for lay in lays]
+    wide, high = left + columns * _COLUMN + right, head + sum(name + low - top + foot for top, low in spans)
     figure = Picture(figsize=(wide, high))
     ax = figure.add_axes((0, 0, 1, 1))
     ax.set_xlim(0, wide)
-    ax.set_ylim(high - (head - highest), -(head - highest))
+    ax.set_ylim(high, 0)
     ax.set_axis_off()
-    pen = _Pen(ax, lay, left)
-    for f in lay.found.flows:
-        pen.flow(f)
-    for name in lay.stations:
-        pen.part(name)
-    margin = 0.3
-    figure.text(margin / wide, 1 - 0.36 / high, result.inputs.vehicle, fontsize=14, fontweight="bold", va="baseline")
-    figure.text(1 - margin / wide, 1 - 0.36 / high, f"over {result.inputs.cycle}", fontsize=9.5, ha="right", va="baseline", color=SOFT)
-    used = {"Electric": (ELECTRIC, "electricity"), "Shaft": (MECHANIC, "shafts, tyres")}
-    keys = [(FUEL, "fuel")] if any(s.burnt for s in lay.stations.values()) else []
-    keys += [used[kind] for kind in used if any(f.carrier == kind for f in lay.found.flows)]
-    keys += [(BACK, "coming back")] if any(f.back > _SMALL * lay.found.turnover for f in lay.found.flows) else []
-    keys += [(LOSS, "lost")] + ([(REST, "in motion, method's own error")] if any(pen.rests) else [])
-    figure.legend(
-        handles=[Patch(color=colour, label=label) for colour, label in keys], loc="upper left", ncols=len(keys), frameon=False,
-        bbox_to_anchor=(margin / wide, 1 - 0.42 / high), borderpad=0.1, borderaxespad=0.1, handlelength=1.0, handletextpad=0.5,
-        columnspacing=1.5, fontsize=8.5, labelcolor=SOFT,
+    ax.text(margin, 0.36, one.vehicle if one else f"{len(results)} runs", fontsize=14, fontweight="bold")
+    ax.text(wide - margin, 0.36, f"over {one.cycle}" if one else "to the same scale", fontsize=9.5, ha="right", color=SOFT)
+    y = head
+    for result, lay, (top, low), label in zip(results, lays, spans, labels, strict=True):
+        if one is None:
+            ax.text(margin, y + 0.15, label, fontsize=10.5, fontweight="bold")
+        pen = _Pen(ax, lay, left + (columns - lay.last) * _COLUMN, y + name - top)
+        for f in lay.found.flows:
+            pen.flow(f)
+        for part in lay.stations:
+            pen.part(part)
+        y += name + low - top + foot
+        ax.text(margin, y - 0.2, _balance(result), fontsize=8.5, color=SOFT)
+    drawn = {patch.get_facecolor() for patch in ax.patches}
+    keys = [Patch(color=colour, label=label) for colour, label in KEYS.items() if to_rgba(colour) in drawn]
+    ax.legend(
+        handles=keys, loc="upper left", ncols=len(keys), frameon=False, bbox_to_anchor=(margin, 0.42), bbox_transform=ax.transData,
+        borderpad=0.1, borderaxespad=0.1, handlelength=1.0, handletextpad=0.5, columnspacing=1.5, fontsize=8.5, labelcolor=SOFT,
     )  # fmt: skip
-    figure.text(margin / wide, 0.2 / high, _balance(result), fontsize=8.5, va="baseline", color=SOFT)
     return figure
 
 
@@ -231,17 +256,17 @@ def _balance(result: Result) -> str:
 
 
 def _number(energy: float) -> str:
-    return f"{energy / 3600:,.0f}".replace(",", "\u2009").replace("-", "\u2212")
+    x = energy / 3600
+    return (f"{x:,.0f}" if abs(x) >= 10 else f"{x:.1f}").replace(",", "\u2009").replace("-", "\u2212")
 
 
 class _Pen:
     """Draws bands, parts and texts."""
 
-    def __init__(self, ax: Axes, lay: _Layout, left: float) -> None:
+    def __init__(self, ax: Axes, lay: _Layout, left: float, down: float) -> None:
         self.ax, self.lay, self.left = ax, lay, left
         self.least = _SMALL * lay.found.turnover
-        #: Whether parts keep something for their motion or by the method's own error.
-        self.rests = [s.rest > self.least for s in lay.stations.values()]
+        self.top = {name: y + down for name, y in lay.top.items()}
 
     def x(self, name: str) -> float:
         """Return where a part begins."""
@@ -271,7 +296,7 @@ class _Pen:
         """Draw a connection: what went forth, and what came back under it."""
         lay = self.lay
         x = (self.x(f.supply) + _BAR, self.x(f.load))
-        y = (lay.top[f.supply] + lay.start(f), lay.top[f.load] + lay.end(f))
+        y = (self.top[f.supply] + lay.start(f), self.top[f.load] + lay.end(f))
         colour = ELECTRIC if f.carrier == "Electric" else MECHANIC
         self._lanes(x, y, f.forth, f.back, colour)
 
@@ -289,8 +314,8 @@ class _Pen:
 
     def part(self, name: str) -> None:
         """Draw a part with what comes in from its tank or store, and what leaves it for good."""
-        lay, s = self.lay, self.lay.stations[name]
-        x, top, height = self.x(name), lay.top[name], lay.height[name]
+        lay = self.lay
+        x, top, height = self.x(name), self.top[name], lay.height[name]
         self.ax.add_patch(Rectangle((x, top), _BAR, height, facecolor="#4a5560", edgecolor="none"))
         label = name.replace("_", " ")
         # Bands that come or go aslant leave room on one side only.
@@ -300,27 +325,28 @@ class _Pen:
         place = (x + _BAR, "right") if rises or falls else (x + _BAR / 2, "center")
         y = top + height + 0.8 * _LINE if below else top - 0.7 * _LINE
         self.text(place[0], y, label, ha=place[1], weight="bold", size=8.5)
-        begin = x - 0.62 * _COLUMN
-        at = top + sum(map(lay.width, lay.into[name]))
-        if s.burnt:
-            self._lanes((begin, x), (at, at), s.burnt, 0.0, FUEL)
-            self.text(begin - 0.07, at + lay.scale * s.burnt / 2, "fuel", ha="right", weight="bold", size=8.5)
-        if s.drawn or s.charged:
-            self._lanes((begin, x), (at, at), s.drawn, s.charged, ELECTRIC)
-            below = at + lay.scale * s.drawn + (_GAP if s.charged else 0.0)
-            if s.charged > 0:
-                self.arrow(begin, below, lay.scale * s.charged, BACK, -1)
-            given = s.drawn - s.charged
-            told = f"{'gave' if given >= 0 else 'took'} {_number(abs(given))}"
-            middle = (at + below + lay.scale * s.charged) / 2
-            for line, text in enumerate(("store", told)):
-                self.text(
-                    begin - 0.22, middle + (line - 0.5) * 1.1 * _LINE, text, ha="right", weight="normal" if line else "bold", size=8.5
-                )
+        self._source(name, x, top + sum(map(lay.width, lay.into[name])))
         if name == lay.road:
             self._road(x + _BAR, top)
         else:
             self._losses(name, x + _BAR, top)
+
+    def _source(self, name: str, x: float, top: float) -> None:
+        """Draw what comes out of a part's tank or store, and what goes back into it."""
+        lay, s = self.lay, self.lay.stations[name]
+        begin = x - 0.62 * _COLUMN
+        if s.burnt:
+            self._lanes((begin, x), (top, top), s.burnt, 0.0, FUEL)
+            self.text(begin - 0.07, top + lay.scale * s.burnt / 2, "fuel", ha="right", weight="bold", size=8.5)
+        if s.drawn or s.charged:
+            self._lanes((begin, x), (top, top), s.drawn, s.charged, ELECTRIC)
+            both = lay.pair(s.drawn, s.charged)
+            if s.charged:
+                self.arrow(begin, top + both - lay.scale * s.charged, lay.scale * s.charged, BACK, -1)
+            given = s.drawn - s.charged
+            said = f"{'gave' if given >= 0 else 'took'} {_number(abs(given))}"
+            for text, weight, line in (("store", "bold", -0.5), (said, "normal", 0.5)):
+                self.text(begin - 0.22, top + both / 2 + 1.1 * line * _LINE, text, ha="right", weight=weight, size=8.5)
 
     def _losses(self, name: str, x: float, top: float) -> None:
         """Draw what leaves a part: upward above the road's lane, else downward."""
@@ -333,9 +359,9 @@ class _Pen:
         end = start - _DROP if name in lay.up else start + _DROP
         lost = lay.scale * max(s.lost, 0.0)
         self.band((x, tip), (start, end), lost, LOSS)
-        self.band((x, tip), (start + lost, end + lost), total - lost, REST)
         self.arrow(tip, end, lost, LOSS)
         if total > lost + lay.scale * self.least:
+            self.band((x, tip), (start + lost, end + lost), total - lost, REST)
             self.arrow(tip, end + lost, total - lost, REST)
         for i, (label, energy) in enumerate(told):
             y = end - (len(told) - i - 0.25) * _LINE if name in lay.up else end + total + (i + 0.75) * _LINE
@@ -358,9 +384,10 @@ class _Pen:
         if back > 0:
             inner, middle = _GAP / 2, top + forth + _GAP / 2
             outer, k = inner + back, 4 / 3
+            far, near = x + k * outer, x + k * inner
             points = [
-                (x, middle - outer), (x + k * outer, middle - outer), (x + k * outer, middle + outer), (x, middle + outer),
-                (x, middle + inner), (x + k * inner, middle + inner), (x + k * inner, middle - inner), (x, middle - inner), (x, middle - outer),
+                (x, middle - outer), (far, middle - outer), (far, middle + outer), (x, middle + outer),
+                (x, middle + inner), (near, middle + inner), (near, middle - inner), (x, middle - inner), (x, middle - outer),
             ]  # fmt: skip
             codes = [Path.MOVETO, *[Path.CURVE4] * 3, Path.LINETO, *[Path.CURVE4] * 3, Path.CLOSEPOLY]
             self.ax.add_patch(PathPatch(Path(points, codes), facecolor=BACK, edgecolor="none"))

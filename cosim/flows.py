@@ -18,8 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from halfshaft.cosim.result import Result
+from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.tags import part_of
 
+#: A connection that carries no more than this share of the turnover is left out.
+UNUSED = 1e-9
 #: A part that loses no more than this share of the turnover, and neither splits nor joins flows, is left out.
 NOTHING = 1e-6
 
@@ -73,7 +76,7 @@ def flows(result: Result) -> Flows:
     Raises
     ------
     InputError
-        If a loaded run does not say what its vehicle was made of.
+        If a loaded run does not say what its vehicle was made of, or no energy moved.
 
     """
 
@@ -102,6 +105,10 @@ def flows(result: Result) -> Flows:
         Flow(c.supply, c.load, c.supply_port.kind.__name__, *split(f"{c.supply}.P_out{model.suffixes(c)[1]}")) for c in model.connections
     ]
     turnover = result.account.turnover
+    # An engine that never ran is no part of the picture.
+    found = [f for f in found if f.forth + f.back > UNUSED * turnover]
+    if not found:
+        raise InputError("flows", ["the run moved no energy"])
     for name, s in list(stations.items()):
         own = [f for f in found if name in (f.supply, f.load)]
         into, out = [f for f in own if f.load == name], [f for f in own if f.supply == name]

@@ -21,80 +21,119 @@ enum { HYBRID, REFINED, ITERATION };
 /* No vehicle gains speed faster than this against its brakes [m/s^2]. */
 #define HS_FALL 100
 
+/* A search for the largest end speed that is reached when it is asked for: up to it the shortfall is not positive, above it is, and
+   mostly straight.  `search_next` says which request is tried next, `search_tell` is told its shortfall.  All speeds are taken times
+   `sign`, so that it always looks for the largest one. */
+typedef struct {
+  int mode, stage, trials;
+  int sign; /* 1 after a request that the vehicle is too slow for, -1 after one that it is too fast for */
+  double v_start, lowest, close;
+  double low, high, s_high, s_next, climb, width, next;
+  /* What the last search taught: gain of speed, and slope of the shortfall. */
+  double gain, slope;
+} search;
+
+enum { FIRST, WIDEN, HALVE, LAST };
+
+/* Begin after the request `v` fell short by `s`, from the state `x`, in a step of length `dt`. */
+static void search_begin(search *t, int mode, double v, double s, double v_start, double dt) {
+  const int sign = s > 0 ? 1 : -1;
+  if (sign != t->sign) t->gain = 0, t->slope = 1;
+  t->mode = mode;
+  t->sign = sign;
+  t->stage = FIRST;
+  t->trials = 0;
+  t->v_start = sign * v_start;
+  /* A speed that falls short of none: standstill, or what no brake is needed for. */
+  t->lowest = sign > 0 ? 0 : -(v_start + HS_FALL * dt);
+  t->close = fmin(HS_CLOSE, HS_CLOSE_RATE * dt);
+  t->high = sign * v;
+  t->s_high = t->s_next = fabs(s);
+  t->low = mode == REFINED ? t->lowest : t->high;
+  t->climb = 0.02;
+  t->width = fabs(s) > 0.5 ? fabs(s) : 0.5;
+  t->next = t->gain != 0 && t->v_start + t->gain < t->high ? t->v_start + t->gain : t->high - t->s_high;
+}
+
+/* The paper's benchmark: bisection to the last digits. */
+static int iterate_next(search *t, int failed) {
+  const double middle = 0.5 * (t->low + t->high);
+  if (t->stage == LAST) return 0;
+  if (t->stage == FIRST || (t->stage == WIDEN && t->s_next > HS_REACHED && t->low > t->lowest && !failed)) {
+    t->stage = WIDEN;
+    t->high = t->low;
+    t->next = t->low = t->low - t->width > t->lowest ? t->low - t->width : t->lowest;
+    t->width *= 2;
+    return 1;
+  }
+  t->stage = t->high - t->low > 1e-12 * (1 + fabs(t->high)) && middle > t->low && middle < t->high ? HALVE : LAST;
+  t->next = t->stage == HALVE ? middle : t->low;
+  return 1;
+}
+
+/* Return whether there is another request to try: `next`. */
+static int search_next(search *t, int failed) {
+  if (t->mode == ITERATION) return iterate_next(t, failed);
+  if (t->stage == LAST) return 0;
+  if (t->trials < HS_TRIALS && t->s_high >= t->close && t->high - t->low >= t->close && !failed) {
+    if (t->trials >= HS_SLOPES || !(t->next > t->low && t->next < t->high)) t->next = 0.5 * (t->low + t->high);
+    return 1;
+  }
+  t->stage = LAST;
+  t->next = t->low;
+  return t->s_high >= t->close && t->s_next > HS_REACHED;
+}
+
+/* Take the shortfall of the request that was tried. */
+static void search_tell(search *t, double s) {
+  int near = t->high - t->next < 1;
+  t->s_next = s;
+  if (t->stage == LAST || t->stage == WIDEN) return;
+  if (t->stage == HALVE) {
+    if (s <= HS_REACHED) t->low = t->next; else t->high = t->next;
+    return;
+  }
+  ++t->trials;
+  if (s > HS_REACHED) {
+    if (near && t->s_high > s) t->slope = (t->s_high - s) / (t->high - t->next);
+    t->high = t->next;
+    t->s_high = s;
+    near = 1;
+  } else {
+    t->low = t->next;
+  }
+  t->next = near ? t->high - t->s_high / (t->slope > 0.1 ? t->slope : 1) + 0.3 * t->close : t->low + t->climb;
+  if (!near) t->climb *= 4;
+}
+
+/* Return whether the speed that the search left the step at, or a hair above it, is reached. */
+static int search_end(search *t, double v) {
+  t->gain = t->sign * v - t->v_start;
+  return t->mode == REFINED ? fabs(t->s_next) < t->close : fabs(t->s_next) <= HS_REACHED;
+}
+
 typedef struct {
   const double *x, *p, *q;
   double *u, *xn, *y;
   long evaluations;
   int failed;
-  /* 1 after a request that the vehicle is too slow for, -1 after one that it is too fast for.  A search takes all speeds times this,
-     so that it always looks for the largest one. */
-  int sign;
-  /* What the last refined step taught: gain of speed, slope of the shortfall, and the sign of its search. */
-  double gain, slope;
-  int searched;
+  search search;
   /* Searches without success. */
   long unsolved;
 } trial;
 
 /* Return a trial at the start of a march. */
 static trial first_trial(const double *p, const double *q, double *u) {
-  trial t = {0, p, q, u, 0, 0, 0, 0, 1, 0, 1, 1, 0};
+  trial t = {0, p, q, u, 0, 0, 0, 0, {.sign = 1, .slope = 1}, 0};
   return t;
 }
 
 /* Shortfall of the end speed when `v` is asked for. */
-static double shortfall(trial *t, double v) {
-  t->u[0] = t->sign * v;
+static double shortfall(trial *t, int sign, double v) {
+  t->u[0] = sign * v;
   hs_step_prepared(t->x, t->u, t->p, t->q, t->xn, t->y);
   ++t->evaluations;
-  return v - t->sign * t->xn[HS_X_V];
-}
-
-/* Return a speed that falls short of none: standstill, or what no brake is needed for. */
-static double bottom(const trial *t) { return t->sign > 0 ? 0 : -(t->x[HS_X_V] + HS_FALL * t->u[3]); }
-
-/* Find the largest end speed that is reached when it is asked for.  Up to it the shortfall is not positive, above it is, and
-   mostly straight.  Leaves the step there or a hair above; returns whether there is such a speed.  `s` is the shortfall at
-   the request `v`. */
-static int refine(trial *t, double v, double s) {
-  const double v_start = t->sign * t->x[HS_X_V], close = fmin(HS_CLOSE, HS_CLOSE_RATE * t->u[3]);
-  double low = bottom(t), high = v, s_high = s, climb = 0.02, s_next = s;
-  double next = t->gain != 0 && v_start + t->gain < v ? v_start + t->gain : v - s;
-  for (int i = 0; i < HS_TRIALS && s_high >= close && high - low >= close && !t->failed; ++i) {
-    if (i >= HS_SLOPES || !(next > low && next < high)) next = 0.5 * (low + high);
-    s_next = shortfall(t, next);
-    int near = high - next < 1;
-    if (s_next > HS_REACHED) {
-      if (near && s_high > s_next) t->slope = (s_high - s_next) / (high - next);
-      high = next;
-      s_high = s_next;
-      near = 1;
-    } else {
-      low = next;
-    }
-    next = near ? high - s_high / (t->slope > 0.1 ? t->slope : 1) + 0.3 * close : low + climb;
-    if (!near) climb *= 4;
-  }
-  if (s_high >= close && s_next > HS_REACHED) s_next = shortfall(t, low);
-  t->gain = t->sign * t->xn[HS_X_V] - v_start;
-  return fabs(s_next) < close;
-}
-
-/* The same speed by bisection: the paper's benchmark. */
-static int iterate(trial *t, double v, double s) {
-  const double lowest = bottom(t);
-  double high = v, low = v, width = s > 0.5 ? s : 0.5;
-  do {
-    high = low;
-    low = low - width > lowest ? low - width : lowest;
-    width *= 2;
-  } while (shortfall(t, low) > HS_REACHED && low > lowest && !t->failed);
-  while (high - low > 1e-12 * (1 + fabs(high))) {
-    double middle = 0.5 * (low + high);
-    if (middle <= low || middle >= high) break;
-    if (shortfall(t, middle) <= HS_REACHED) low = middle; else high = middle;
-  }
-  return fabs(shortfall(t, low)) <= HS_REACHED;
+  return v - sign * t->xn[HS_X_V];
 }
 
 static double grade_at(double s, long n, const double *distance, const double *grade) {
@@ -135,20 +174,18 @@ static void advance(trial *t, double *now, double *next, double *y, int mode) {
   /* A speed that was solved for was reached: the step after it has nothing to estimate. */
   if (mode != HYBRID) now[HS_X_MISSED] = 0;
   t->x = now; t->xn = next; t->y = y;
-  t->sign = 1;
-  double s = shortfall(t, v);
+  const double s = shortfall(t, 1, v);
   if (mode != HYBRID && fabs(s) > HS_REACHED) {
     /* The controls have decided by what was asked for; the search keeps gear and clutch. */
     for (int i = 0; i < HS_NX; ++i) decided[i] = now[i];
     for (const int *d = hs_decisions; *d >= 0; ++d) decided[*d] = next[*d];
     t->x = decided;
     t->u[4] = 1;
-    t->sign = s > 0 ? 1 : -1;
-    if (t->sign != t->searched) t->gain = 0, t->slope = 1;
-    t->searched = t->sign;
-    if (!(mode == REFINED ? refine : iterate)(t, t->sign * v, fabs(s))) {
+    search_begin(&t->search, mode, v, s, now[HS_X_V], t->u[3]);
+    while (search_next(&t->search, t->failed)) search_tell(&t->search, shortfall(t, t->search.sign, t->search.next));
+    if (!search_end(&t->search, next[HS_X_V])) {
       /* No speed is reached at all: the plain step is kept. */
-      shortfall(t, t->sign * v);
+      shortfall(t, 1, v);
       ++t->unsolved;
     }
     for (const int *d = hs_decisions; *d >= 0; ++d) next[*d] = decided[*d];

@@ -173,17 +173,16 @@ def _method(result: Result) -> str:
 
 
 def labels_of(results: Sequence[Result]) -> list[str]:
-    """Return what tells runs apart: vehicle, cycle, method, then the first two numbers that differ."""
+    """Return what tells runs apart: vehicle, cycle, method; then, of those that are alike, the first two numbers that differ."""
     traits = [(r.inputs.vehicle, r.inputs.cycle, _method(r)) for r in results]
     differing = [i for i in range(3) if len({t[i] for t in traits}) > 1]
     labels = [", ".join(t[i] for i in differing) for t in traits]
-    if len(set(labels)) < len(results):
-        sets = [r.inputs.parameters for r in results]
-        names = [name for name in sets[0] if len({p.get(name) for p in sets}) > 1][:2]
-        labels = [
-            ", ".join([label, *(f"{name} = {p[name]:g}" for name in names if name in p)]) for label, p in zip(labels, sets, strict=True)
-        ]
-    labels = [label.removeprefix(", ") for label in labels]
+    for label in {label for label in labels if labels.count(label) > 1}:
+        alike = [i for i, other in enumerate(labels) if other == label]
+        sets = {i: results[i].inputs.parameters for i in alike}
+        names = [name for name in sets[alike[0]] if len({p.get(name) for p in sets.values()}) > 1][:2]
+        for i, p in sets.items():
+            labels[i] = ", ".join(filter(None, [label, *(f"{name} = {p[name]:g}" for name in names if name in p)]))
     alike = [labels[: i + 1].count(label) for i, label in enumerate(labels)]
     return [label if labels.count(label) == 1 else f"{label} ({n})".strip() for label, n in zip(labels, alike, strict=True)]
 

@@ -54,6 +54,8 @@ _LEVELS = (
 #: Width and height of a panel, height of the head and of a line of it [in].
 _WIDTH, _HEIGHT, _HEAD, _LINE = 4.3, 3.3, 0.62, 0.22
 _RPM = 60 / (2 * np.pi)
+#: Of the runs, beside their colours.
+_MARKERS = "os^Dv<>"
 
 
 class _Machine(NamedTuple):
@@ -132,7 +134,7 @@ def plot_points(
         figure.text(1 - 0.3 / wide, 1 - 0.34 / high, aside, fontsize=9.5, ha="right", va="baseline", color=SOFT)
         for i, label in enumerate(named if len(results) > 1 else ()):
             y = 1 - (0.6 + _LINE * i) / high
-            figure.add_artist(Line2D([0.36 / wide], [y + 0.04 / high], marker="o", ms=5, color=COLOURS[i], lw=0))
+            figure.add_artist(Line2D([0.36 / wide], [y + 0.04 / high], marker=_MARKERS[i], ms=5, color=COLOURS[i], lw=0))
             figure.text(0.5 / wide, y, label, va="baseline")
         grid = np.atleast_1d(np.asarray(figure.subplots(rows, columns))).ravel()
         for ax, shared in zip(grid, panels.values(), strict=False):
@@ -147,7 +149,7 @@ def plot_points(
 
 
 def points(result: Result, part: str) -> tuple[Array, Array]:
-    """Return speed [rad/s] and torque [N m] of a machine in each step: its own, else those of its port, else those of the shaft behind it."""
+    """Return speed [rad/s] and torque [N m] of a machine in each step: its own, or those of its source."""
     outputs = {d.name for d in result.outputs}
     found = []
     for tag, field in (("engine speed", "omega"), ("engine torque", "tau")):
@@ -210,25 +212,17 @@ def _draw(ax: Axes, shared: Sequence[tuple[int, _Machine]], results: Sequence[Re
     x, y = machine.omega * _RPM, machine.tau * factor
     best = float(np.nanmax(machine.efficiency)) if np.isfinite(machine.efficiency).any() else 1.0
     levels = [level for level in _LEVELS if level < best]
-    ax.contourf(
-        x,
-        y,
-        machine.efficiency.T,
-        levels=[0, *levels[-9:], max(best, levels[-1] + 1e-6)],
-        cmap="Blues",
-        vmin=0,
-        vmax=1.9 * best,
-        extend="neither",
-    )
+    ax.contourf(x, y, machine.efficiency.T, levels=[0, *levels[-9:], max(best, levels[-1] + 1e-6)], cmap="Blues", vmin=0, vmax=2.8 * best)
     lines = ax.contour(x, y, machine.efficiency.T, levels=levels[-9:], colors="#5b7f9c", linewidths=0.6)
-    ax.clabel(lines, fmt=lambda level: f"{100 * level:.0f}", fontsize=7, colors="#3f5f78")
+    # Those of low efficiency lie close together.
+    ax.clabel(lines, levels[-5:], fmt=lambda level: f"{100 * level:.0f}", fontsize=7, colors="#3f5f78")
     for speeds, torques in machine.envelopes:
         ax.plot(speeds * _RPM, torques * factor, color=INK, lw=1.2)
     for i, _ in shared:
         omega, tau = points(results[i], machine.part)
         moves = (np.abs(tau) > 1e-9) & (omega > 1e-6)
         colour = COLOURS[i] if len(results) > 1 else COLOURS[1]
-        ax.plot(omega[moves] * _RPM, tau[moves] * factor, "o", color=colour, ms=3.0, alpha=0.45, mew=0)
+        ax.plot(omega[moves] * _RPM, tau[moves] * factor, _MARKERS[i], color=colour, ms=3.0, alpha=0.5, mew=0)
     ax.axhline(0, color=LINE, lw=0.7)
     ax.set_xlim(max(0.0, x[0]), x[-1])
     ax.set_title(f"{machine.part.replace('_', ' ')}: {machine.title}, efficiency in %", loc="left", fontsize=9, color=INK)

@@ -36,6 +36,8 @@ REST, REST_NOISE, START = 0.3, 1.5, 1.0
 SHORTEST = 1.0
 #: A median deviation of normal noise is its standard deviation over this.
 NORMAL = 1.4826
+#: A trace is no longer than so many of its usual steps.
+MOST = 10_000_000
 #: A polynomial of second order is fitted to at least so many points.
 FEWEST = 5
 
@@ -102,6 +104,8 @@ def restored(cycle: Cycle, *, window: float = 3.0, longest_gap: float = 10.0) ->
     if problems:
         raise InputError(f"cycle '{cycle.name}'", problems)
     dt = float(np.median(np.diff(cycle.time)))
+    if cycle.duration / dt > MOST:
+        raise InputError(f"cycle '{cycle.name}'", [f"is {cycle.duration / dt:.3g} of its usual steps long, must be at most {MOST:g}"])
 
     def points(seconds: float) -> int:
         """Return how many points, always odd, lie in a time."""

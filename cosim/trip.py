@@ -21,7 +21,7 @@ JOINT = 1e-6
 SAME_SPEED = 1e-9
 
 
-def rest(duration: float, *, key_on: bool = True) -> Cycle:
+def rest(duration: float | str, *, key_on: bool = True) -> Cycle:
     """Return a time at rest [s]: a pause with the key on, or a soak with the key off."""
     seconds = number(duration)
     if not 2 * JOINT < seconds < np.inf:

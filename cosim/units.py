@@ -72,6 +72,8 @@ _BOTH = {
     "small energy": Unit("Wh", lambda J: J / 3600, 1),
     "power": Unit("kW", lambda W: W / 1e3, 1),
     "time": Unit("s", lambda s: s, 1),
+    "share": Unit("%", lambda x: 100 * x, 2),
+    "equivalent": Unit("MPGe", lambda x: x, 1),
 }
 SYSTEMS: Mapping[Units, Mapping[str, Unit]] = {
     "metric": {

@@ -12,21 +12,20 @@ It defines ``HS_NX``, ``HS_NU``, ``HS_NP``, ``HS_NQ``, ``HS_NY`` and::
 parameter is not a number, ``hs_step`` when anything is not (minima and maxima would swallow it); who calls
 ``hs_step_prepared`` must look with ``hs_lost``.
 
-The C is written from the expression graph, one line a node, in the order and with the operations of CasADi's virtual
-machine, so both give the same bits as long as the compiler does not contract (``-ffp-contract=off``).  Equal nodes are
-computed once; tables with an axis in common share its search.
+The C has a line for each operation of the step (`halfshaft.fmu_build.graph`), and gives the bits of CasADi's virtual machine as
+long as the compiler does not contract (``-ffp-contract=off``).  A table that counts on one side of a choice only is looked up
+where that side is taken.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
-import numpy as np
 
 from halfshaft.fmu_build.compiler import shared_library
-from halfshaft.library.base.tables import Table, axis_source, clip_source, external_source, values_source
+from halfshaft.fmu_build.graph import Graph, Op, step_graph
+from halfshaft.library.base.tables import Table, axis_source, external_source, values_source
 from halfshaft.models.assembly import Step
 
 _PRELUDE = """#include <math.h>
@@ -44,127 +43,19 @@ static inline int hs_lost(const double *x, int n) {
 }
 """
 
-#: C of each operation; those in `_FLAGS` give 0 or 1.
-_OPERATIONS = {
-    ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}", ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2. * {0}", ca.OP_INV: "1. / {0}", ca.OP_SQRT: "sqrt({0})", ca.OP_FABS: "fabs({0})",
-    ca.OP_FMIN: "hs_min({0}, {1})", ca.OP_FMAX: "hs_max({0}, {1})", ca.OP_SIGN: "hs_sign({0})", ca.OP_EXP: "exp({0})",
-    ca.OP_LOG: "log({0})", ca.OP_POW: "pow({0}, {1})", ca.OP_CONSTPOW: "pow({0}, {1})", ca.OP_TANH: "tanh({0})", ca.OP_SIN: "sin({0})",
-    ca.OP_COS: "cos({0})", ca.OP_ATAN: "atan({0})", ca.OP_FLOOR: "floor({0})", ca.OP_CEIL: "ceil({0})", ca.OP_FMOD: "fmod({0}, {1})",
-    ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0.", ca.OP_ASSIGN: "{0}",
+#: C of each operation.
+_C = {
+    "add": "{0} + {1}", "sub": "{0} - {1}", "mul": "{0} * {1}", "div": "{0} / {1}", "neg": "-{0}", "sq": "{0} * {0}", "twice": "2. * {0}",
+    "inv": "1. / {0}", "min": "hs_min({0}, {1})", "max": "hs_max({0}, {1})", "sign": "hs_sign({0})", "pow": "pow({0}, {1})",
+    "fmod": "fmod({0}, {1})", "only": "{0} ? {1} : 0.", "same": "{0}", "choose": "{0} ? {1} : {2}", "true": "{0} != 0",
+    "lt": "{0} < {1}", "le": "{0} <= {1}", "eq": "{0} == {1}", "ne": "{0} != {1}", "not": "!{0}", "and": "{0} && {1}", "or": "{0} || {1}",
+    "clip": "{0} < {1} ? {1} : {0} > {2} ? {2} : {0}", "find": "{about}_find({0})", "place": "({0} - {about}_x[{1}]) * {about}_s[{1}]",
+    "row": "p[{first} + {0}] + {1} * (p[{first} + 1 + {0}] - p[{first} + {0}])",
+    **{name: f"{name}({{0}})" for name in ("sqrt", "fabs", "exp", "log", "tanh", "sin", "cos", "atan", "floor", "ceil")},
 }  # fmt: skip
-_FLAGS = {
-    ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_NE: "{0} != {1}",
-    ca.OP_NOT: "!{0}", ca.OP_AND: "{0} && {1}", ca.OP_OR: "{0} || {1}",
-}  # fmt: skip
-_LOGIC = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)
-#: A flag, 0 or 1, is its own square and no less than zero.
-_KEEP_FLAG = (ca.OP_SQ, ca.OP_FMAX)
-_ZERO = f"({(0.0).hex()})"
-#: Names of values in the lines that are written.
-_NAME = re.compile(r"\b[ct]\d+\b")
-
-
-class _Writer:
-    """Writes the nodes of expressions as C; `parameters` are those from which prepared values are made."""
-
-    def __init__(self, symbols: Mapping[str, ca.SX], tables: Mapping[str, Table], axes: dict[bytes, str]) -> None:
-        self.tables, self.axes = tables, axes
-        self.names = {vector[i].element_hash(): f"{name}[{i}]" for name, vector in symbols.items() for i in range(vector.numel())}
-        self.known: dict[str, str] = {}
-        self.prepared: list[str] = []
-        self.lines: list[str] = []
-        self.only_p: dict[str, bool] = {}
-        self.flags: set[str] = set()
-        self.negated: dict[str, str] = {}
-        self.chosen: dict[str, tuple[str, str]] = {}
-
-    def write(self, expressions: ca.SX) -> list[str]:
-        """Write what the expressions need; return their names."""
-        return [self._node(expressions[i]) for i in range(expressions.numel())]
-
-    def _node(self, root: ca.SX) -> str:
-        stack = [root]
-        while stack:
-            node = stack[-1]
-            key = node.element_hash()
-            if key in self.names:
-                stack.pop()
-                continue
-            parts = [node.dep(i) for i in range(node.n_dep())]
-            missing = [d for d in parts if d.element_hash() not in self.names]
-            if missing:
-                stack.extend(missing)
-                continue
-            self.names[key] = self._define(node, [self.names[d.element_hash()] for d in parts])
-            stack.pop()
-        return self.names[root.element_hash()]
-
-    def _define(self, node: ca.SX, parts: list[str]) -> str:
-        if node.is_constant():
-            value = float(node)
-            return f"({value.hex()})" if np.isfinite(value) else ("NAN" if np.isnan(value) else "HUGE_VAL" if value > 0 else "(-HUGE_VAL)")
-        if node.is_output():
-            return parts[0]
-        if node.is_call():
-            return self._call(node.which_function().name(), parts)
-        op = node.op()
-        if op == ca.OP_ADD:
-            # A choice is the sum of two that are zero where the other counts.
-            one, other = (self.chosen.get(p) for p in parts)
-            if one and other and self.negated.get(other[0]) == one[0]:
-                return self._line(f"{one[0]} ? {one[1]} : {other[1]}", parts)
-        if op in _LOGIC:
-            parts = [self._flag(p) for p in parts]
-        elif op == ca.OP_IF_ELSE_ZERO:
-            parts = [self._flag(parts[0]), parts[1]]
-        flag = next((p for p in parts if p in self.flags), "")
-        if flag and op in _KEEP_FLAG and all(p in (flag, _ZERO) for p in parts):
-            return flag
-        if flag and op == ca.OP_MUL:
-            # A choice costs less than to make a number of the flag.
-            op, parts = ca.OP_IF_ELSE_ZERO, [flag, parts[1] if parts[0] == flag else parts[0]]
-        if op in _FLAGS:
-            name = self._line(_FLAGS[op].format(*parts), parts, "int")
-            self.flags.add(name)
-            if op == ca.OP_NOT:
-                self.negated[name] = parts[0]
-            return name
-        name = self._line(_OPERATIONS[op].format(*parts), parts)
-        if op == ca.OP_IF_ELSE_ZERO:
-            self.chosen[name] = (parts[0], parts[1])
-        return name
-
-    def _flag(self, name: str) -> str:
-        """Return whether a value is not zero: found once, of parameters before the march."""
-        if name in self.flags or name.startswith("("):
-            return name
-        flag = self._line(f"{name} != 0", [name], "int")
-        self.flags.add(flag)
-        return flag
-
-    def _line(self, c: str, parts: Sequence[str], kind: str = "double") -> str:
-        if c in self.known:
-            return self.known[c]
-        only_p = all(p.startswith(("p[", "(", "q")) or self.only_p.get(p, False) for p in parts)
-        lines = self.prepared if only_p else self.lines
-        name = f"{'c' if only_p else 't'}{len(self.known)}"
-        lines.append(f"  const {kind} {name} = {c};")
-        self.known[c] = name
-        self.only_p[name] = only_p
-        return name
-
-    def _call(self, function: str, parts: list[str]) -> str:
-        table, places = self.tables[function].reduced, []
-        for i in table.live:
-            points, x = table.points[i], parts[i]
-            axis = self.axes[points.tobytes()]
-            if table.clip:
-                x = self._line(clip_source(x, points), [x])
-            interval = self._line(f"{axis}_find({x})", [x], "int")
-            fraction = self._line(f"({x} - {axis}_x[{interval}]) * {axis}_s[{interval}]", [x, interval])
-            places += [interval, fraction]
-        return self._line(f"{function}_at({''.join(f'{p}, ' for p in places)}0)", places)
+#: What takes its first value as a condition on the others; the second one of two flags counts only where the first holds.
+_CHOICES = ("only", "choose", "and")
+_TYPES = {"number": "double", "flag": "int", "interval": "int"}
 
 
 def compiled_tables(named: Mapping[str, Table]) -> dict[str, ca.Function]:
@@ -177,34 +68,28 @@ def compiled_tables(named: Mapping[str, Table]) -> dict[str, ca.Function]:
     return {name: ca.external(name, library) for name in named}
 
 
-def step_code(step: Step) -> str:
-    """Return the C of a step."""
-    tables = {name: t.reduced for name, t in step.tables.items()}
-    points = {t.points[i].tobytes(): t.points[i] for t in tables.values() for i in t.live}
-    axes = {key: f"axis_{n}" for n, key in enumerate(points)}
-    x, u, p = (ca.SX.sym(name, step.function.size1_in(i)) for i, name in enumerate("xup"))
-    following, outputs = step.function.call([x, u, p])
-    writer = _Writer({"x": x, "u": u, "p": p}, step.tables, axes)
-    next_names, output_names = writer.write(following), writer.write(outputs)
-    starter = _Writer({"p": p}, step.tables, axes)
-    first_names = starter.write(step.start.call([p])[0])
-
-    lines = _used(writer.lines, [*next_names, *output_names])
-    found = set(_NAME.findall(" ".join([*lines, *next_names, *output_names])))
-    kept = [name for name, only_p in writer.only_p.items() if only_p and name in found]
-    unpack = [f"  const {'int' if n in writer.flags else 'double'} {n} = q[{i}];" for i, n in enumerate(kept)]
+def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
+    """Return the C of a step; `rows` are tables whose values stand among the parameters, with the position of the first."""
+    graph, prepared, stepped, following, outputs, kept = step_graph(step, rows)
+    starter = Graph(step.tables, rows or {})
+    p = ca.SX.sym("p", len(step.parameters))
+    starter.inputs(p=p)
+    first = starter.values(step.start.call([p])[0])
+    unpack = [f"  const {_TYPES[graph.kind(name)]} {name} = q[{i}];" for i, name in enumerate(kept)]
+    lines = [*unpack, *_guarded(stepped, graph, [*following, *outputs])]
+    n_rows = sum(len(graph.tables[name].values) for name in graph.rows)
     parts = [
         _PRELUDE,
-        *(axis_source(axes[key], x) for key, x in points.items()),
-        *(values_source(name, t) for name, t in tables.items()),
-        f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters)}",
+        *(axis_source(name, points) for name, points in graph.axes.items()),
+        *(values_source(name, t) for name, t in graph.tables.items() if name not in graph.rows),
+        f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters) + n_rows}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
-        "static void hs_start(const double *p, double *x) {", *_used(starter.prepared, first_names), *_stores("x", first_names), "}\n",
-        "static int hs_prepare(const double *p, double *q) {", *_used(writer.prepared, kept), *_stores("q", kept),
+        "static void hs_start(const double *p, double *x) {", *_lines(starter, first), *_stores("x", first), "}\n",
+        "static int hs_prepare(const double *p, double *q) {", *(line(op, graph) for op in prepared), *_stores("q", kept),
         "  return hs_lost(p, HS_NP);\n}\n",
         "static void hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                             const double *restrict q, double *restrict xn, double *restrict y) {",
-        *_stored_at_once([*unpack, *lines], [*_stores("xn", next_names), *_stores("y", output_names)]),
+        *_stored_at_once(lines, [*_stores("xn", following), *_stores("y", outputs)]),
         "}\n",
         "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
         "  double q[HS_NQ];",
@@ -213,6 +98,74 @@ def step_code(step: Step) -> str:
         "  return lost | hs_lost(xn, HS_NX);\n}\n",
     ]  # fmt: skip
     return "\n".join(parts)
+
+
+def relations_code(step: Step) -> str:
+    """Return C of ``hs_relate(p, broken)``, which tells of each relation between parameters whether it is broken."""
+    p = ca.SX.sym("p", len(step.parameters))
+    graph = Graph({})
+    graph.inputs(p=p)
+    names = graph.values(step.broken.call([p])[0])
+    head = "static void hs_relate(const double *p, int *broken) {\n  (void)p, (void)broken;"
+    return "\n".join([head, *_lines(graph, names), *_stores("broken", names), "}\n"])
+
+
+def _lines(graph: Graph, names: Sequence[str]) -> list[str]:
+    """Return the lines that give prepared values."""
+    return [line(op, graph) for op in graph.used(graph.prepared, names)]
+
+
+def _guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str]) -> list[str]:
+    """Return the lines with each table that counts on one side of a choice only, and what it alone needs, in an ``if``."""
+    guards: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
+    for op in reversed(ops):
+        here = guards[op.name]
+        sides = [here] * len(op.of)
+        if op.what in _CHOICES:
+            # The condition; what counts where it holds; what counts where it does not.
+            sides = [here, (*here, op.of[0]), (*here, f"!{op.of[0]}")]
+        for name, guard in zip(op.of, sides, strict=False):
+            guards[name] = _common(guards.get(name, guard), guard)
+    waiting = {op.name: op for op in ops}
+    looked_up = [guards[op.name] for op in ops if op.what in ("find", "table", "row")]
+    worth = {guard[:i] for guard in looked_up for i in range(len(guard) + 1)}
+    declared, written, now = list[str](), list[str](), tuple[str, ...]()
+    stack = list(waiting)[::-1]
+    while stack:
+        name = stack.pop()
+        if name not in waiting:
+            continue
+        op = waiting[name]
+        guard = next((g for i in range(len(guards[name]), 0, -1) if (g := guards[name][:i]) in worth), ())
+        # What decides is written before what it decides on.
+        if before := [other for other in (*(g.lstrip("!") for g in guard), *op.of) if other in waiting]:
+            stack += [name, *before]
+            continue
+        del waiting[name]
+        shared = len(_common(now, guard))
+        written += ["  }"] * (len(now) - shared) + [f"  if ({g}) {{" for g in guard[shared:]]
+        now = guard
+        text = line(op, graph)
+        if guard:
+            declared.append(f"  {_TYPES[op.kind]} {name};")
+            text = f"  {text.removeprefix(f'  const {_TYPES[op.kind]} ')}"
+        written.append(text)
+    return [*declared, *written, *["  }"] * len(now)]
+
+
+def _common(one: tuple[str, ...], other: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what two begin with."""
+    n = next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+    return one[:n]
+
+
+def line(op: Op, graph: Graph) -> str:
+    """Return the line of an operation."""
+    if op.what == "table":
+        c = f"{op.about}_at({''.join(f'{name}, ' for name in op.of)}0)"
+    else:
+        c = _C[op.what].format(*op.of, about=op.about, first=graph.rows.get(op.about, 0))
+    return f"  const {_TYPES[op.kind]} {op.name} = {c};"
 
 
 def _stores(vector: str, names: Sequence[str]) -> list[str]:
@@ -228,23 +181,3 @@ def _stored_at_once(lines: Sequence[str], stores: Sequence[str]) -> list[str]:
     for line in lines:
         ordered += [line, *waiting.pop(line.partition(" = ")[0].rpartition(" ")[2], [])]
     return [*ordered, *(store for rest in waiting.values() for store in rest)]
-
-
-def _used(lines: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return the lines that the names come from, in order."""
-    wanted, kept = set(names), list[str]()
-    for line in reversed(lines):
-        name, _, value = line.partition(" = ")
-        if name.rpartition(" ")[2] in wanted:
-            wanted |= set(_NAME.findall(value))
-            kept.append(line)
-    return kept[::-1]
-
-
-def relations_code(step: Step) -> str:
-    """Return C of ``hs_relate(p, broken)``, which tells of each relation between parameters whether it is broken."""
-    p = ca.SX.sym("p", len(step.parameters))
-    writer = _Writer({"p": p}, {}, {})
-    names = writer.write(step.broken.call([p])[0])
-    head = "static void hs_relate(const double *p, int *broken) {\n  (void)p, (void)broken;"
-    return "\n".join([head, *_used(writer.prepared, names), *_stores("broken", names), "}\n"])

@@ -33,9 +33,9 @@ from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
 from halfshaft.library.engine.engine import EngineParameters
-from halfshaft.library.files.component_file import SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
+from halfshaft.library.files.component_file import LARGEST, SCHEMA, ComponentFile, Reader, component_names, read_component, save_toml, shown
 from halfshaft.library.files.notebook import Grid, card
-from halfshaft.library.files.texts import cleaned, name_problem
+from halfshaft.library.files.texts import cleaned, name_problem, read_text
 from halfshaft.library.files.toml import inline, quantity, toml_text, written
 from halfshaft.models.model import Model
 from halfshaft.models.powertrain import Powertrain, powertrains, vehicle_files
@@ -81,6 +81,10 @@ class Vehicle:
         object.__setattr__(self, "title", cleaned(self.title))
         object.__setattr__(self, "source", cleaned(self.source))
         object.__setattr__(self, "parameters", _parameter_sets(self))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs; what was worked out of it may hold functions, which cannot be sent."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def __repr__(self) -> str:
         """Return name, powertrain and mass."""
@@ -400,7 +404,8 @@ def _load(source: str | Path, above: tuple[str, ...]) -> Vehicle:
     if str(path) in above or len(above) > MOST_BASES:
         raise InputError(str(path), ["base leads back to the vehicle itself"])
     reader = Reader()
-    data = reader.toml(path, ["vehicle"], {"powertrain": str, "base": str, "parts": dict, "set": dict, "derive": dict})
+    extra = {"powertrain": str, "base": str, "parts": dict, "set": dict, "derive": dict}
+    data = reader.toml(str(path), read_text(path, LARGEST), ["vehicle"], extra)
     folder = path.parent if isinstance(path, Path) else path
     base = None
     if "base" in data:

@@ -1,4 +1,5 @@
-/* Marches many vehicles of one structure, each over its own cycle, on threads of its own.  Included after march.c.
+/* Marches many vehicles of one structure, each over its own cycle, on threads of its own.  Included after march.c, and where there
+   are lanes after the step in lanes.
 
    HS_SUM, HS_MAX, HS_MIN, HS_LAST, HS_SEEN and HS_KEPT say how many outputs are integrated, have their maximum and minimum taken, are
    looked at last, are looked at once at some time, and are kept as histories; at_sum, at_max and so on say which.  HS_BEGIN and at_begin
@@ -19,6 +20,7 @@ typedef struct {
 
 typedef struct {
   long runs, next; /* how many, and the first that no thread has taken */
+  const int *order; /* which run is taken first, second and so on */
   const trace *traces;
   const int *trace_of;    /* which trace each run has */
   const double *p;        /* parameters, HS_NP a run */
@@ -33,7 +35,14 @@ typedef struct {
   int mode;
 } batch;
 
-static void march_one(const batch *b, long run) {
+#ifdef HS_LANES
+#include "march_lanes.h"
+#else
+
+#define HS_LANES 1
+
+static void march_some(const batch *b, long at) {
+  const long run = b->order[at];
   const trace *c = b->traces + b->trace_of[run];
   const double *p = b->p + run * HS_NP;
   double state[2][HS_NX], u[HS_NU], q[HS_NQ], y[HS_NY];
@@ -76,9 +85,11 @@ static void march_one(const batch *b, long run) {
   for (long i = 0; i < c->n * HS_KEPT; ++i) kept[i] = NAN;
 }
 
+#endif
+
 static void *work(void *given) {
   batch *b = (batch *)given;
-  for (long run; (run = __atomic_fetch_add(&b->next, 1, __ATOMIC_RELAXED)) < b->runs;) march_one(b, run);
+  for (long run; (run = __atomic_fetch_add(&b->next, HS_LANES, __ATOMIC_RELAXED)) < b->runs;) march_some(b, run);
   return NULL;
 }
 

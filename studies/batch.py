@@ -24,6 +24,7 @@ from halfshaft.cosim.cycle import TIME_STEP, Cycle
 from halfshaft.cosim.memory import available
 from halfshaft.cosim.simulate import Build, stepper_of
 from halfshaft.fmu_build.compiler import shared_library
+from halfshaft.fmu_build.lanes import WIDTHS, lanes_code, lanes_header, widths
 from halfshaft.library.base.errors import InputError, nearest, not_a, number
 from halfshaft.library.base.parameters import spec_of
 from halfshaft.models.assembly import Step
@@ -129,7 +130,8 @@ def run_batch(
     if problems:
         raise InputError("batch", problems)
 
-    plan = _plan(Build(vehicle), tuple(sorted(set(wanted), key=lambda w: w.place)), tuple(dict.fromkeys(history)))
+    wanted = sorted(set(wanted), key=lambda w: w.place)
+    plan = _plan(Build(vehicle), tuple(wanted), tuple(dict.fromkeys(history)), next(iter(widths()), ""), traces.halved)
     shown = _Figures(step, fleet, traces) if summary is None else None
     rows = np.full((runs, traces.longest, len(plan.history)), np.nan)
     columns: dict[str, Any] = {"status": np.zeros(runs, np.int8), "lost_by": np.full(runs, np.nan)}
@@ -162,6 +164,11 @@ class _Traces:
         self.longest = max(len(s.t) for s in self.samples)
         self.problems = [f"cycle {c.name} has no step" for c in self.cycles if not c.duration]
 
+    @property
+    def halved(self) -> bool:
+        """Whether all steps last a power of two, in seconds."""
+        return all(np.all(np.frexp(s.dt)[0] == 0.5) for s in self.samples)
+
     def of_each(self, found: Sequence[float]) -> Array:
         """Return for each run what its cycle has."""
         return np.array(found)[self.of]
@@ -192,7 +199,8 @@ class _Job(ctypes.Structure):
     """``batch`` in ``batch.c``."""
 
     _fields_ = (
-        ("runs", ctypes.c_long), ("next", ctypes.c_long), *((name, ctypes.c_void_p) for name in ("traces", "trace_of", "p", "x", "x_of")),
+        ("runs", ctypes.c_long), ("next", ctypes.c_long),
+        *((name, ctypes.c_void_p) for name in ("order", "traces", "trace_of", "p", "x", "x_of")),
         ("n_x", ctypes.c_long), ("found", ctypes.c_void_p), ("history", ctypes.c_void_p), ("rows", ctypes.c_long),
         ("lost", ctypes.c_void_p), ("unsolved", ctypes.c_void_p), ("mode", ctypes.c_int),
     )  # fmt: skip
@@ -222,9 +230,12 @@ class _Plan(NamedTuple):
         same = np.array([0.0 if i in varied else numbers[d.name] for i, d in enumerate(self.step.parameters)])
         places = np.array([self.step.state_index[name] for name in starts], dtype=np.intc)
         in_c, _kept = traces.in_c([w.how for w in self.wanted if isinstance(w.how, float)])
+        lengths = np.array([len(s.t) for s in traces.samples])
         for k in range(0, len(traces.of), CHUNK):
             part = slice(k, min(k + CHUNK, len(traces.of)))
             n = part.stop - k
+            # Runs that last equally long go together.
+            order = np.argsort(lengths[traces.of[part]], kind="stable").astype(np.intc)
             p, x, found = np.tile(same, (n, 1)), np.empty((n, len(starts))), np.empty((n, len(self.wanted)))
             lost, unsolved = np.empty(n, np.intc), np.empty(n, np.intc)
             for i, values in varied.items():
@@ -232,7 +243,7 @@ class _Plan(NamedTuple):
             for i, values in enumerate(starts.values()):
                 x[:, i] = values[part] if isinstance(values, np.ndarray) else values
             job = _Job(
-                n, 0, ctypes.addressof(in_c), *map(address, (traces.of[part], p, x, places)), len(starts), address(found),
+                n, 0, address(order), ctypes.addressof(in_c), *map(address, (traces.of[part], p, x, places)), len(starts), address(found),
                 address(rows[part]), traces.longest, address(lost), address(unsolved), MODES.index(mode),
             )  # fmt: skip
             self.library.hs_batch(ctypes.byref(job), threads)
@@ -240,7 +251,7 @@ class _Plan(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _plan(build: Build, wanted: tuple[Wanted, ...], history: tuple[str, ...]) -> _Plan:
+def _plan(build: Build, wanted: tuple[Wanted, ...], history: tuple[str, ...], width: str, halved: bool) -> _Plan:
     whole = stepper_of(build.vehicle).step
     # The march itself needs the request and what is missed of it.
     step = whole.only({*(w.output for w in wanted), *history, *(whole.tags.the(tag) for tag in ("request", "miss", "overspeed"))})
@@ -249,8 +260,10 @@ def _plan(build: Build, wanted: tuple[Wanted, ...], history: tuple[str, ...]) ->
         index = step.state_index if name == "begin" else step.output_index
         places = [str(index[o]) for o in (history if name == "kept" else [w.output for w in wanted if w.place[0] == i])]
         lines.append(f"#define HS_{name.upper()} {len(places)}\nstatic const int at_{name}[] = {{{', '.join(places) or '0'}}};")
-    loop = files("halfshaft.studies").joinpath("batch.c").read_text()
-    library = shared_library("\n".join([march_code(step), *lines, loop]), f"{step.name}_batch", flags=("-pthread",))
+    own = {name: files("halfshaft.studies").joinpath(name).read_text(encoding="utf-8") for name in ("batch.c", "march_lanes.h")}
+    code = "\n".join([march_code(step), *lines, lanes_code(step, halved=halved) if width else "", own.pop("batch.c")])
+    flags = ("-pthread", *(("-O1", *WIDTHS[width][0]) if width else ()))
+    library = shared_library(code, f"{step.name}_batch", own | lanes_header() if width else {}, flags)
     return _Plan(ctypes.CDLL(str(library)), step, wanted, history)
 
 

@@ -15,8 +15,7 @@ from importlib import import_module
 from typing import Any
 
 from halfshaft.library.base.errors import InputError
-from halfshaft.studies.design import Value
-from halfshaft.studies.job import Done, work
+from halfshaft.studies.job import Done, Row, work
 
 #: A cluster that does not answer for so long is not there [s].
 PATIENCE = 5.0
@@ -31,7 +30,7 @@ class Crew:
     size: int
     stop: Callable[[], None]
 
-    def submit(self, job: bytes, rows: Sequence[tuple[int, tuple[Value, ...]]]) -> Future[Done]:
+    def submit(self, job: bytes, rows: Sequence[Row]) -> Future[Done]:
         """Hand out some rows."""
         return self.executor.submit(self.call, job, rows)
 
@@ -69,7 +68,7 @@ def _follow() -> None:
         os._exit(1)
 
 
-def _work(job: bytes, rows: Sequence[tuple[int, tuple[Value, ...]]]) -> Done:
+def _work(job: bytes, rows: Sequence[Row]) -> Done:
     return work(job, rows, _stopped[0].is_set)
 
 

@@ -7,6 +7,7 @@ sample takes values between.  Numbers are SI, or have a unit; a unit at the end 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ Given: TypeAlias = str | Sequence[float | str | Path]
 Value: TypeAlias = float | str
 Kind: TypeAlias = Literal["lhs", "sobol", "saltelli"]
 
+#: No axis has more values, and no sweep more points.
+MOST_VALUES, MOST_POINTS = 100_000, 10_000_000
 #: The axis over several vehicles.
 VEHICLE = "vehicle"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -122,6 +125,10 @@ class Sample:
             raise InputError(f"sample {text}", problems)
         return cls(kind, count, seed)  # type: ignore[arg-type]
 
+    def size(self, axes: int) -> int:
+        """Return how many points there are."""
+        return self.n * (axes + 2) if self.kind == "saltelli" else self.n
+
     def shares(self, axes: int) -> Array:
         """Return the points in the unit cube, shape ``(points, axes)``."""
         from scipy.stats import qmc  # takes over a second
@@ -150,7 +157,12 @@ class Design:
     @property
     def shape(self) -> tuple[int, ...]:
         """Length of each dimension."""
-        return (len(self.points),) if self.sample else tuple(len(axis.values) for axis in self.axes)
+        return (self.sample.size(len(self.axes)),) if self.sample else tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def size(self) -> int:
+        """How many points there are."""
+        return math.prod(self.shape)
 
     @cached_property
     def points(self) -> Sequence[tuple[Value, ...]]:
@@ -180,17 +192,21 @@ def design_of(vehicles: Sequence[Vehicle], axes: Mapping[str, Given], sample: Sa
             found.append(_numbers(name, given, [_settable(car) for car in parts[role]] if parts.get(role) else settable, sample, problems))
     _rivals(vehicles, [axis.name for axis in found if axis.numeric], problems)
     order = {VEHICLE: -1, **{name: i for i, name in enumerate(axes)}}
-    return Design(tuple(sorted(found, key=lambda axis: order[axis.name])), sample)
+    design = Design(tuple(sorted(found, key=lambda axis: order[axis.name])), sample)
+    if design.size > MOST_POINTS:
+        problems.append(f"has {design.size} points, must have at most {MOST_POINTS}; draw a sample")
+    return design
 
 
 def _settable(car: Vehicle) -> dict[str, Spec]:
     """Return what can be set by name: the numbers, and the ratings that stand for factors."""
-    return car.specs | {f"{role}.{r.name}": r.spec for role, part in car.parts.items() for r in part.component.parameters.rated}
+    return car.specs | {name: rated.spec for name, rated in car.rated.items()}
 
 
 def _parts(vehicles: Sequence[Vehicle], role: str, given: Given, problems: list[str]) -> tuple[Axis, list[Vehicle]]:
     """Return an axis over parts, and the vehicles with each of them."""
-    values = tuple(str(x).strip() for x in (given.split(",") if isinstance(given, str) else given))
+    items: Any = given.split(",") if isinstance(given, str) else given if hasattr(given, "__len__") else [given]
+    values = tuple(str(x).strip() for x in items)
     before = len(problems)
     _count(role, values, problems)
     known = {name for car in vehicles for name in (*car.parts, *_settable(car))}
@@ -213,6 +229,9 @@ def _numbers(name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sa
     known = {n: spec for of in settable for n, spec in of.items()}
     specs = [of[name] for of in settable if name in of]
     empty = Axis(name, "1", "", ())
+    if not isinstance(given, str) and not hasattr(given, "__len__"):
+        problems.append(f"axis {name} = {shown(given)}, must be a list or a range such as 1000..1600:4")
+        return empty
     if not specs:
         problems.append(f"axis {name} is not known{nearest(name, known)}")
         return empty
@@ -236,15 +255,17 @@ def _numbers(name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sa
     count = int(n) if n and re.fullmatch(r"\d{1,9}", n) else 0
     if n is not None and sample is not None:
         reader.problems.append(f"axis {name} = {shown(given)}, a sample takes any value between the ends: leave out :{n}")
+    elif count > MOST_VALUES:
+        reader.problems.append(f"axis {name} = {shown(given)} has {count} values, must have at most {MOST_VALUES}")
     elif sample is None and count < 2:
         told = "no number of values" if n is None else f"the number of values {n}" if n else "no number of values"
         reader.problems.append(f"axis {name} = {shown(given)} has {told}, must have at least two, such as {name}={match[1]}..{match[2]}:4")
     problems.extend(reader.problems)
     if reader.problems:
         return empty
-    return Axis(
-        name, spec.unit, spec.doc, (low, high) if sample else tuple(np.linspace(low, high, count).tolist()), open=sample is not None
-    )
+    # With the digits that a reader would type: 0.3 and not 0.30000000000000004.
+    values = (low, high) if sample else tuple(float(f"{x:.12g}") for x in np.linspace(low, high, count))
+    return Axis(name, spec.unit, spec.doc, values, open=sample is not None)
 
 
 def _with_units(items: Sequence[Any]) -> Iterator[Any]:
@@ -269,9 +290,7 @@ def _count(name: str, values: Sequence[Value], problems: list[str]) -> None:
 
 def _rivals(vehicles: Sequence[Vehicle], names: Sequence[str], problems: list[str]) -> None:
     """Report ratings and factors that say the same thing."""
-    stands = {
-        f"{role}.{r.name}": f"{role}.{r.scale}" for car in vehicles for role, p in car.parts.items() for r in p.component.parameters.rated
-    }
+    stands = {name: f"{name.partition('.')[0]}.{rated.scale}" for car in vehicles for name, rated in car.rated.items()}
     for i, name in enumerate(names):
         problems.extend(
             f"axes {other} and {name} both say how large it is; vary one of them"

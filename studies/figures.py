@@ -19,14 +19,23 @@ from halfshaft.models.assembly import Step
 Get = Callable[[str, str], Any]
 #: Unit of a figure by the end of its name, the longest that fits.
 UNITS = {
-    "_m": "m", "_s": "s", "_L": "L", "_J": "J", "_W": "W", "_mps": "m/s", "_L_per_100km": "L/100 km", "_mpg": "mpg",
-    "_Wh_per_km": "Wh/km", "_MPGe": "mpg",
+    "_m": "m", "_s": "s", "_L": "L", "_J": "J", "_W": "W", "_kg": "kg", "_mps": "m/s", "_mps2": "m/s^2", "_L_per_100km": "L/100 km",
+    "_mpg": "mpg", "_Wh_per_km": "Wh/km", "_kWh_per_100km": "kWh/100 km", "_MPGe": "mpg", "_percent": "%",
 }  # fmt: skip
 
 
 def unit_of(figure: str) -> str:
     """Return the unit of a figure."""
-    return next((UNITS[end] for end in sorted(UNITS, key=len, reverse=True) if figure.endswith(end)), "1")
+    return UNITS.get(_end(figure), "1")
+
+
+def title_of(figure: str) -> str:
+    """Return the name of a figure in words, without its unit."""
+    return figure.removesuffix(_end(figure)).replace("_", " ").replace(".", ": ")
+
+
+def _end(figure: str) -> str:
+    return next((end for end in sorted(UNITS, key=len, reverse=True) if figure.endswith(end)), "")
 
 
 def needs(step: Step) -> Iterator[tuple[str, str]]:

@@ -7,15 +7,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from halfshaft.library.base.errors import HalfshaftError
+import numpy as np
+
+from halfshaft.library.base.errors import CompileError, HalfshaftError
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.design import VEHICLE, Axis, Value
+from halfshaft.studies.task import Drive
 
 if TYPE_CHECKING:
     from halfshaft.studies.task import Task
 
+#: A point: its index, and the values of all axes there.
+Row: TypeAlias = tuple[int, tuple[Value, ...]]
 #: Variables of a result that are no figures.
 FAILURE, NOTES = "failure", "notes"
 
@@ -35,6 +40,8 @@ class Job:
     vehicles: tuple[Vehicle, ...]
     axes: tuple[Axis, ...]
     tasks: tuple[Task, ...]
+    #: Whether its points are plain runs, so many that they are made in batches.
+    batch: bool = False
 
     def structure(self, values: Sequence[Value]) -> tuple[str, ...]:
         """Return which vehicle and parts the point has."""
@@ -68,15 +75,61 @@ class Job:
         notes: list[str] = []
         failures: list[str] = []
         for task in self.tasks:
-            prefix, said = (f"{task.name}.", f"{task.name}: ") if len(self.tasks) > 1 else ("", "")
+            prefix, said = self._told(task)
             try:
                 outcome = task(car)
-                figures |= {prefix + name: x if x is None else float(x) for name, x in outcome.figures.items()}
+                figures |= {prefix + name: x if x is None else float(x) for name, x in outcome.figures.items() if not isinstance(x, str)}
                 notes += [said + note for note in outcome.notes]
             # A task of the user's own may raise anything; that is no reason to lose the other points.
             except Exception as error:
                 failures.append(f"{said}{error}" if isinstance(error, HalfshaftError) else f"{said}{type(error).__name__}: {error}")
         return Point(figures, tuple(notes), "\n".join(failures))
+
+    def many(self, rows: Sequence[Row], threads: int | None = None) -> dict[int, Point]:
+        """Return what plain runs find at some points, each structure in one call: the same figures, without account and notes."""
+        groups: dict[tuple[str, ...], list[Row]] = {}
+        for row in rows:
+            groups.setdefault(self.structure(row[1]), []).append(row)
+        found: dict[int, Point] = {}
+        for group in groups.values():
+            found |= self._together(group, threads)
+        return found
+
+    def _together(self, rows: Sequence[Row], threads: int | None) -> dict[int, Point]:
+        from halfshaft.studies.batch import run_batch
+
+        points = [values for _, values in rows]
+        figures: list[dict[str, float | None]] = [{} for _ in rows]
+        failures: list[list[str]] = [[] for _ in rows]
+        try:
+            car = self._built(self.structure(points[0]))
+            numbers = {
+                axis.name: np.array([values[i] for values in points], dtype=float) for i, axis in enumerate(self.axes) if axis.numeric
+            }
+            for task in self.tasks:
+                assert isinstance(task, Drive)
+                prefix, said = self._told(task)
+                data = run_batch(car, numbers, task.cycle, mode=task.mode, dt=task.dt, threads=threads)
+                own = {str(name): x.to_numpy().tolist() for name, x in data.data_vars.items() if "." not in str(name)}
+                lost, by = own.pop("status"), own.pop("lost_by")
+                own.pop("unsolved", None)
+                for k in range(len(rows)):
+                    figures[k] |= {prefix + name: None if x[k] != x[k] else x[k] for name, x in own.items()}
+                    if lost[k]:
+                        failures[k].append(f"{said}{car.title}: by t = {by[k]:g} s a result is not a number; check the inputs")
+        except CompileError:
+            return {i: self.at(values) for i, values in rows}
+        except HalfshaftError:
+            # One that cannot be keeps all others of its call from running: halves find it.
+            if len(rows) == 1:
+                return {i: self.at(values) for i, values in rows}
+            middle = len(rows) // 2
+            return self._together(rows[:middle], threads) | self._together(rows[middle:], threads)
+        return {i: Point(figures[k], (), "\n".join(failures[k])) for k, (i, _) in enumerate(rows)}
+
+    def _told(self, task: Task) -> tuple[str, str]:
+        """Return what the figures of a task begin with, and what is said of it."""
+        return (f"{task.name}.", f"{task.name}: ") if len(self.tasks) > 1 else ("", "")
 
 
 class Done(NamedTuple):
@@ -86,10 +139,12 @@ class Done(NamedTuple):
     seconds: float
 
 
-def work(job: bytes, rows: Sequence[tuple[int, tuple[Value, ...]]], stopped: Callable[[], bool] = lambda: False) -> Done:
+def work(job: bytes, rows: Sequence[Row], stopped: Callable[[], bool] = lambda: False) -> Done:
     """Return the points of some rows, indices and values; fewer if it is stopped before the end."""
     own, begin = _loaded(job), time.perf_counter()
     found: dict[int, Point] = {}
+    if own.batch:
+        return Done(own.many(rows, threads=1), time.perf_counter() - begin)
     for i, values in rows:
         if stopped():
             break

@@ -38,7 +38,8 @@ import numpy as np
 from halfshaft.cosim.cycle import Array, Cycle
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.base.parameters import Spec
-from halfshaft.library.files.component_file import Reader, shown
+from halfshaft.library.files.component_file import LARGEST, Reader, shown
+from halfshaft.library.files.texts import read_text
 from halfshaft.studies.conditions import PLACES, Place
 
 Kind: TypeAlias = Literal["fuel", "hybrid", "plug-in", "electric"]
@@ -167,7 +168,7 @@ class _Reader(Reader):
     def plan(self) -> Plan:
         """Return what the file says."""
         extra = {"tests": dict, "combined": dict, "weighted": dict, "utility": dict, "report": list, "grid": dict}
-        data = self.toml(self.path, ["procedure"], extra)
+        data = self.toml(str(self.path), read_text(self.path, LARGEST), ["procedure"], extra)
         self.required(data, ("source", "tests"), "")
         given, weights = data.get("tests", {}), data.get("weighted", {})
         tests = [self.test(name, x, f"tests.{name}.") for name, x in given.items()]

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -23,9 +23,11 @@ from halfshaft.library.base.errors import HalfshaftError, InputError, nearest, n
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.crew import Crew, cluster, cores, processes
 from halfshaft.studies.design import Design, Given, Sample, Value, design_of
+from halfshaft.studies.figures import title_of, unit_of
 from halfshaft.studies.folder import Kept, kept
 from halfshaft.studies.identity import manifest
-from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point
+from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point, Row
+from halfshaft.studies.task import Drive
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,18 +35,13 @@ if TYPE_CHECKING:
     from halfshaft.studies.task import Task
 
 Points: TypeAlias = Sequence[tuple[Value, ...]]
-Row: TypeAlias = tuple[int, tuple[Value, ...]]
 Add: TypeAlias = Callable[[Mapping[int, Point]], None]
-#: Unit of a figure by the end of its name, the longest that fits.
-UNITS = {
-    "_m": "m", "_s": "s", "_L": "L", "_J": "J", "_W": "W", "_kg": "kg", "_mps": "m/s", "_mps2": "m/s^2", "_kmh": "km/h", "_mph": "mph",
-    "_L_per_100km": "L/100 km", "_mpg": "mpg", "_MPGe": "MPGe", "_Wh_per_km": "Wh/km", "_kWh_per_100km": "kWh/100 km", "_pct": "%",
-    "_g_per_km": "g/km",
-}  # fmt: skip
 #: A sweep that takes no longer than this needs no other processes: they take as long to start [s].
 ALONE = 1.0
 #: A portion of work takes so long [s].
 PORTION = 1.0
+#: So many plain runs are made in batches, so many at a time: there an interrupt is looked at.
+BATCHED, BATCH = 1000, 1024
 MOST_WORKERS = 1000
 
 
@@ -53,7 +50,7 @@ def sweep(
     axes: Mapping[str, Given],
     tasks: Task | Sequence[Task],
     *,
-    sample: str | Sample | None = None,
+    sample: str | None = None,
     seed: int = 0,
     responses: Sequence[str] = (),
     folder: str | Path | None = None,
@@ -118,7 +115,7 @@ def _planned(
     vehicle: Vehicle | Sequence[Vehicle],
     axes: Mapping[str, Given],
     tasks: Task | Sequence[Task],
-    sample: str | Sample | None,
+    sample: str | None,
     seed: int,
     workers: int | None,
     scheduler: str | None,
@@ -131,12 +128,15 @@ def _planned(
         problems += not_a(Vehicle, vehicle=car)
     if not work:
         problems.append("has no task, must have at least one, such as Drive(cycle)")
-    wrong = [task for task in work if not (is_dataclass(task) and callable(task))]
+    wrong = [task for task in work if isinstance(task, type) or not (is_dataclass(task) and callable(task) and hasattr(task, "name"))]
     problems += [f"task {task!r:.60} must be a frozen dataclass that is called with a vehicle, such as Drive(cycle)" for task in wrong]
     names = [task.name for task in work if task not in wrong]
     problems += [f"has {names.count(name)} tasks called '{name}'" for name in dict.fromkeys(names) if names.count(name) > 1]
+    for task in work:
+        # The tests know what is wrong with their options, whatever the vehicle.
+        problems += [f"{task.name}: {problem}" for problem in getattr(task, "problems", tuple)()] if task not in wrong else []
     try:
-        drawn = Sample.read(sample, seed) if isinstance(sample, str) else sample
+        drawn = None if sample is None else Sample.read(str(sample), seed)
     except InputError as error:
         problems += [f"{error.where} {problem}" for problem in error.problems]
         drawn = Sample("lhs", 2)
@@ -149,7 +149,8 @@ def _planned(
     design = design_of(vehicles, axes, drawn, problems)
     if problems:
         raise InputError("sweep", problems)
-    return Job(vehicles, design.axes, work), design
+    plain = all(type(task) is Drive for task in work) and any(axis.numeric for axis in design.axes)
+    return Job(vehicles, design.axes, work, plain and len(design.points) >= BATCHED), design
 
 
 def _carry_out(
@@ -176,6 +177,8 @@ def _carry_out(
         if remote is not None:
             _share_out(job, rows, remote, add)
             return
+        while rows and job.batch:
+            add(job.many([rows.popleft() for _ in range(min(BATCH, len(rows)))], threads=workers))
         hands = workers or cores()
         if workers is None or hands == 1:
             begin = time.monotonic()
@@ -189,14 +192,19 @@ def _carry_out(
 
 def _share_out(job: Job, rows: deque[Row], crew: Crew, add: Add) -> None:
     """Hand out rows in portions of about a second, the last ones smaller so that all end together."""
-    content = pickle.dumps(job)
+    try:
+        content = pickle.dumps(job)
+    # What pickle raises has no common base.
+    except Exception as error:
+        raise InputError("sweep", [f"the tasks cannot be sent to other processes, only workers=1 can do them: {error}"]) from error
     pending: set[Future[Done]] = set()
     done, seconds = 0, 0.0
 
     def take(futures: Iterable[Future[Done]]) -> None:
         nonlocal done, seconds
         for future in futures:
-            found = future.result()
+            with _loss_said():
+                found = future.result()
             done, seconds = done + len(found.points), seconds + found.seconds
             add(found.points)
 
@@ -205,30 +213,40 @@ def _share_out(job: Job, rows: deque[Row], crew: Crew, add: Add) -> None:
             while rows and len(pending) < 2 * crew.size:
                 fitting = int(PORTION * done / seconds) if done else 1
                 n = max(1, min(fitting, len(rows) // (2 * crew.size)))
-                pending.add(crew.submit(content, [rows.popleft() for _ in range(n)]))
+                with _loss_said():
+                    pending.add(crew.submit(content, [rows.popleft() for _ in range(n)]))
             finished, pending = wait(pending, return_when=FIRST_COMPLETED)
             take(finished)
     except KeyboardInterrupt:
         crew.stop()
         take([future for future in pending if not future.cancel()])
         raise
-    except HalfshaftError:
-        raise
-    # What a lost process or cluster raises has no common base.
+
+
+@contextmanager
+def _loss_said() -> Iterator[None]:
+    """Say that a worker was lost; what a lost process or cluster raises has no common base."""
+    try:
+        yield
     except Exception as error:
-        raise HalfshaftError(f"sweep: a worker was lost: {type(error).__name__}: {error}") from error
+        text = f"a worker was lost ({type(error).__name__}: {error}); with a folder, the same call goes on from what was finished"
+        raise HalfshaftError(f"sweep: {text}") from error
 
 
 def _probe(job: Job, points: Points, keeper: Kept, responses: Sequence[str], add: Add) -> None:
     """Work out points until every response was found at one of them; if one never is, raise an error."""
     tried: list[Point] = []
+    problems: list[str] = []
     for i, values in _probing(job, points):
         if i not in keeper.found:
-            add({i: job.at(values)})
+            add(job.many([(i, values)], threads=1) if job.batch else {i: job.at(values)})
         tried.append(keeper.found[i])
-        if not (problems := _lacking(job, responses, tried)):
+        problems = _lacking(job, responses, tried)
+        # Points that failed tell nothing.
+        if not problems and (not responses or any(point.figures for point in tried)):
             return
-    raise InputError("sweep", problems)
+    if problems:
+        raise InputError("sweep", problems)
 
 
 def _probing(job: Job, points: Points) -> Iterator[Row]:
@@ -294,14 +312,3 @@ def table(found: xr.Dataset) -> dict[str, list[Any]]:
     """Return axes, figures, failures and notes of all points, column by column."""
     rows = found.to_dataframe(dim_order=list(found.sizes)).reset_index()
     return {str(name): rows[name].tolist() for name in (*found.coords, *found.data_vars)}
-
-
-def unit_of(figure: str) -> str:
-    """Return the unit of a figure, which its name ends with; ``1`` where it has none."""
-    return next((UNITS[end] for end in sorted(UNITS, key=len, reverse=True) if figure.endswith(end)), "1")
-
-
-def title_of(figure: str) -> str:
-    """Return a figure's name in words, without its unit."""
-    end = next((end for end in sorted(UNITS, key=len, reverse=True) if figure.endswith(end)), "")
-    return figure.removesuffix(end).replace("_", " ").replace(".", ": ")

@@ -14,7 +14,6 @@ import typer
 from halfshaft.app.options import Checks, Json, Shown
 from halfshaft.app.output import print_json, print_line, print_written
 from halfshaft.app.program import app
-from halfshaft.cosim.units import Units
 from halfshaft.library.base.errors import HalfshaftError, number
 
 if TYPE_CHECKING:
@@ -60,6 +59,7 @@ def _cycle(
     units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
+    from halfshaft.app.show import print_cycle
     from halfshaft.cosim.trip import rest
 
     checks = Checks()
@@ -69,6 +69,8 @@ def _cycle(
     between = None if seconds is None else checks.take(lambda: rest(seconds, key_on=soak is None))
     kept = None if window is None else checks.take(lambda: _window(window))
     parts = [part for item in items if (part := checks.take(partial(_part, item))) is not None]
+    if restore and not any(part.recorded for part in parts):
+        checks.problem("--restore goes with CSV files, and there is none")
     if sum(part.times for part in parts) > _MOST:
         checks.problem(f"the trip has {sum(part.times for part in parts)} parts, must have at most {_MOST}")
     checks.target(out, "--out")
@@ -101,9 +103,13 @@ def _cycle(
         from halfshaft.cosim.cycle_plot import plot_cycle
 
         plot_cycle(found, before=before if changed and scale is None else None, units=units, path=plot)
-    _print(found, _gaps(parts) if not restore else [], units, as_json=as_json)
-    if not as_json:
-        print_written(out, road, plot)
+    if as_json:
+        _print_json(found)
+        return
+    print_cycle(found, units)
+    for text in found.doubts:
+        print_line(f"  ! {text}", "yellow")
+    print_written(out, road, plot)
 
 
 class _Part(NamedTuple):
@@ -121,7 +127,7 @@ def _part(item: str) -> _Part:
 
     word, equals, value = item.partition("=")
     if equals and word in ("pause", "soak"):
-        return _Part(rest(number(value), key_on=word == "pause"))
+        return _Part(rest(value, key_on=word == "pause"))
     found = _ITEM.fullmatch(item)
     if found is None or found["times"] == "0":
         raise HalfshaftError(f"'{item}': must be a cycle, NAME, NAME*3 or NAME@2%, or pause=60 or soak=600")
@@ -135,22 +141,11 @@ def _window(text: str) -> tuple[float, float]:
     return float(begin), float(end)
 
 
-def _gaps(parts: Iterable[_Part]) -> list[str]:
+def _print_json(cycle: Cycle) -> None:
     from halfshaft.cosim.recording import gaps
 
-    return [f"{part.cycle.name}: {gap}" for part in parts if part.recorded for gap in gaps(part.cycle) if gap.moving]
-
-
-def _print(cycle: Cycle, gaps: list[str], units: Units, *, as_json: bool) -> None:
-    """Print the figures of a cycle and what is doubtful about it."""
-    if not as_json:
-        from halfshaft.app.show import print_cycle
-
-        print_cycle(cycle, units)
-        for text in (*cycle.doubts, *gaps):
-            print_line(f"  ! {text}", "yellow")
-        return
     edges = [k * 10 / 3.6 for k in range(int(cycle.statistics().v_max * 0.36) + 2)]
-    times = {"from_mps": edges[:-1], "time_s": cycle.time_at(edges)}
     told = {"name": cycle.name, "title": cycle.title, "source": cycle.source, "statistics": cycle.statistics()._asdict()}
-    print_json({**told, "time_at_speed": times, "warnings": list(cycle.doubts), "gaps": gaps})
+    times = {"from_mps": edges[:-1], "time_s": cycle.time_at(edges)}
+    holes = [gap._asdict() for gap in gaps(cycle) if gap.moving]
+    print_json({**told, "time_at_speed": times, "gaps": holes, "warnings": list(cycle.doubts)})

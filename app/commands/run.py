@@ -22,7 +22,7 @@ from halfshaft.cosim.ways import Mode, Via
       halfshaft run small-car-series --cycle us06
       halfshaft run small-car-electric --cycle udds --soc 0.9 --plot udds.png
       halfshaft run small-car-electric --cycle udds --mass 1500 --units us
-      halfshaft run small-car-power-split --cycle us06 --flows flows.png --points points.png
+      halfshaft run small-car-power-split --cycle us06 --flows flows.png
       halfshaft run my-car.toml --cycle trip.csv --grade road.csv --out trip.nc
       halfshaft run my-car.toml --cycle us06 --set engine.J="0.2 kg m^2" --json
     """,

@@ -5,23 +5,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 from rich.markup import escape
 
 from halfshaft.app.options import Checks, CycleNames, Json, Mass, Soc, Values, VehicleNames
-from halfshaft.app.output import console, counted, new_table, print_json, print_line, print_written
+from halfshaft.app.output import busy, console, counted, new_table, print_json, print_line, print_written
 from halfshaft.app.program import app
 from halfshaft.cosim.ways import Mode
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from halfshaft.studies.task import Task
+
+Kind: TypeAlias = Literal["lines", "contours", "slices", "tornado", "indices"]
 #: At most so many points are printed one by one, and so many failures named.
 ROWS, FAILURES = 40, 5
 #: What is printed of the figures unless others are asked for.
-MAIN = ("fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km", "energy_Wh_per_km", "soc_end", "trace_miss_max_mps")
+TESTS = ("acceleration", "gradeability", "top-speed")
+MAIN = (
+    "time_0_to_100_kmh_s", "grade_percent", "top_speed_mps", "fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km",
+    "energy_Wh_per_km", "soc_end", "trace_miss_max_mps",
+)  # fmt: skip
 
 
 @app.command(
@@ -33,9 +40,10 @@ MAIN = ("fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km", "energy_Wh_pe
 
     \b
     Examples:
-      halfshaft sweep small-car-electric --cycle udds --axis body.m=1000..1600:7
+      halfshaft sweep small-car-electric --cycle udds --axis body.m=1000..1600:7 --plot mass.png
       halfshaft sweep small-car-electric --cycle udds --axis motor.P_max="50..100 kW:6" --axis motor=ac-75kw,ac-83kw
       halfshaft sweep small-car-series small-car-parallel --cycle udds --cycle hwfet --axis body.c_d=0.25,0.3,0.35 --json
+      halfshaft sweep small-car-parallel --cycle udds --correction zero-delta --test acceleration --axis engine.P_max="40..80 kW:5"
       halfshaft sweep small-car-series --cycle us06 --axis body.m=1000..1600 --axis body.c_d=0.2..0.4 --sample sobol:64 --out study
     """,
 )
@@ -43,6 +51,13 @@ def _sweep(
     vehicles: VehicleNames,
     axis: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUES", help="What varies; repeatable.")] = None,
     cycle: CycleNames = None,
+    test: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEST", help="acceleration, gradeability, top-speed, a procedure or its TOML file; repeatable."),
+    ] = None,
+    correction: Annotated[
+        Literal["zero-delta", "linear"] | None, typer.Option(help="Drive the cycles so that a hybrid keeps its charge.")
+    ] = None,
     sample: Annotated[
         str | None, typer.Option(metavar="KIND:N", help="Draw N points, lhs:N or sobol:N; saltelli:N for Sobol's indices.")
     ] = None,
@@ -55,6 +70,11 @@ def _sweep(
     ] = None,
     workers: Annotated[int | None, typer.Option(metavar="N", help="Processes; as many as there are cores if not given.")] = None,
     scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A dask cluster that works instead, tcp://HOST:PORT.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the responses (.png, .svg, .pdf).")] = None,
+    kind: Annotated[Kind | None, typer.Option(help="What to draw; what fits the axes if not given.")] = None,
+    constraint: Annotated[
+        list[str] | None, typer.Option(metavar="NAME<=X", help="What a figure must keep to, shown in the plot; repeatable.")
+    ] = None,
     mass: Mass = None,
     values: Values = None,
     soc: Soc = None,
@@ -62,7 +82,9 @@ def _sweep(
 ) -> None:
     from halfshaft.cosim.cycle import Cycle
     from halfshaft.studies.design import read_axes
+    from halfshaft.studies.effects import Constraint, kind_problems
     from halfshaft.studies.job import FAILURE
+    from halfshaft.studies.soc_correction import Linear, ZeroDelta
     from halfshaft.studies.sweep import sweep, table
     from halfshaft.studies.task import Drive
 
@@ -72,30 +94,65 @@ def _sweep(
     for trace in traces:
         checks.step(dt, trace)
     axes = read_axes(axis or (), checks.problem)
-    if not traces:
-        checks.problem("nothing to do: name a cycle, such as --cycle udds")
+    tests = [checks.take(partial(_test, name)) for name in test or ()]
+    if not (traces or tests):
+        checks.problem("nothing to do: name a cycle or a test, such as --cycle udds or --test acceleration")
+    if correction is not None and not traces:
+        checks.problem(f"--correction {correction} goes with --cycle")
     checks.folder(out, "--out")
+    checks.target(plot, "--plot")
+    limits = [checks.take(partial(Constraint.read, text)) for text in constraint or ()]
+    if plot is None:
+        checks.problem(*(f"{option} goes with --plot" for option, given in (("--kind", kind), ("--constraint", constraint)) if given))
+    else:
+        from halfshaft.cosim.plot import plot_problems  # matplotlib takes a quarter of a second
+
+        checks.problem(*(f"--plot {plot}: {p}" for p in plot_problems(plot)))
+        if kind is not None:
+            checks.problem(*(f"--kind {p}" for p in kind_problems(kind, sum("." in name for name in axes), sample is not None)))
     checks.raise_problems()
     found_cars = [car for car in cars if car is not None]
-    tasks = [Drive(trace, mode, dt) for trace in traces if trace is not None]
+    drives = {None: Drive, "zero-delta": ZeroDelta, "linear": Linear}
+    tasks: list[Any] = [drives[correction](cycle=trace, mode=mode, dt=dt) for trace in traces if trace is not None]
+    tasks += [task for task in tests if task is not None]
+    # A constraint on what no point has is said before the sweep runs, not when it is drawn.
+    needed = [*response, *(limit.name for limit in limits if limit is not None)] if response else []
     title = f"{', '.join(car.name for car in found_cars)} over {', '.join(task.name for task in tasks)}"
     try:
         with counted(title) as progress:
             found = sweep(
-                found_cars, axes, tasks, sample=sample, seed=seed, responses=response or (), folder=out, workers=workers,
+                found_cars, axes, tasks, sample=sample, seed=seed, responses=needed, folder=out, workers=workers,
                 scheduler=scheduler, progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:
         if out is not None:
             typer.secho(f"what is finished is in {out}; the same command goes on there", fg="yellow", err=True)
         raise
+    drawn = response or [str(name) for name in found if str(name).rpartition(".")[2] in MAIN]
     if as_json:
         columns = table(found)
         failed = sum(text != "" for text in columns[FAILURE])
         print_json({"tasks": [task.name for task in tasks], "points": len(columns[FAILURE]), "failed": failed, "table": columns})
-        return
-    _print(title, found, response or [str(name) for name in found if str(name).rpartition(".")[2] in MAIN])
-    print_written(out)
+    else:
+        _print(title, found, drawn)
+    if plot is not None:
+        from halfshaft.studies.pictures import plot_sweep
+
+        with busy(f"drawing {plot}"):
+            plot_sweep(found, response or drawn[:1], kind=kind, constraints=constraint or (), path=plot)
+    if not as_json:
+        print_written(out, plot)
+
+
+def _test(name: str) -> Task:
+    """Return a test by its name, as `halfshaft test` runs it where nothing else is said."""
+    from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
+    from halfshaft.studies.gradeability import GradeabilityTest
+    from halfshaft.studies.procedure import Procedure
+
+    if name == "acceleration":
+        return AccelerationTest(pairs=((0, 50), (0, 100), (80, 120)), unit="km/h")
+    return {"gradeability": GradeabilityTest, "top-speed": TopSpeedTest}[name]() if name in TESTS else Procedure.load(name)
 
 
 def _print(title: str, found: xr.Dataset, responses: Sequence[str]) -> None:
@@ -113,7 +170,8 @@ def _print(title: str, found: xr.Dataset, responses: Sequence[str]) -> None:
     shown = new_table()
     if total <= ROWS:
         for name in (*axes, *responses):
-            shown.add_column(escape(heads[name]), justify="left" if isinstance(columns[name][0], str) else "right")
+            head = heads[name] if name in axes else "\n".join(heads[name].rsplit(".", 1))
+            shown.add_column(escape(head), justify="left" if isinstance(columns[name][0], str) else "right", overflow="fold")
         for i in range(total):
             shown.add_row(*(_cell(columns[name][i]) for name in (*axes, *responses)), style="dim" if i in failures else None)
     else:

@@ -181,21 +181,34 @@ def _numbers(values: npt.ArrayLike) -> str:
 def axis_source(name: str, points: npt.NDArray[np.float64]) -> str:
     """Return C of an axis of at least two points: ``name_find(x)`` gives the interval of a number.
 
-    A small index over equal bins tells where to start; one or two comparisons finish the search.
+    A small index over equal bins tells where to start.  One comparison finishes the search, without a branch that may be foreseen
+    wrongly, where no bin holds more than one point; else a loop does.
     """
-    bins = 4 * len(points)
-    edges = points[0] + (points[-1] - points[0]) * np.arange(bins) / bins
-    # Rounding may put a number just below an edge into the bin above it: start a hair early.
-    start = np.clip(np.searchsorted(points, edges - 1e-9 * (points[-1] - points[0]), side="right") - 1, 0, len(points) - 2)
+    last, span = len(points) - 2, points[-1] - points[0]
+
+    def index(bins: int) -> tuple[npt.NDArray[np.intp], bool]:
+        """Return the interval to start from in each bin, and whether one comparison is enough."""
+        edges = points[0] + span * np.arange(bins + 1) / bins
+        # Rounding may put a number just beyond an edge into the next bin: begin and end a hair outside.
+        low, high = (np.clip(np.searchsorted(points, edges + hair, side="right") - 1, 0, last) for hair in (-1e-9 * span, 1e-9 * span))
+        return low[:-1], bool(np.all(high[1:] - low[:-1] <= 1))
+
+    bins = next((n for n in (4 * len(points), 8 * len(points), 16 * len(points)) if index(n)[1]), 4 * len(points))
+    start, single = index(bins)
+    loop = f"""  int i = !(b > 0) ? 0 : b < {bins} ? {name}_b[(int)b] : {last};
+  while (i < {last} && x >= {name}_x[i + 1]) ++i;
+  return i;"""
+    straight = f"""  static const double next[] = {_numbers([*points[1:-1], np.nan])};
+  b = b > 0 ? b : 0;
+  int i = {name}_b[(int)(b < {bins - 1} ? b : {bins - 1})];
+  return i + (x >= next[i]);"""
     return f"""
 static const double {name}_x[] = {_numbers(points)};
 static const double {name}_s[] = {_numbers(1.0 / np.diff(points))};
 static const unsigned short {name}_b[] = {{{", ".join(str(int(i)) for i in start)}}};
 static inline int {name}_find(double x) {{
-  double b = (x - {float(points[0]).hex()}) * {float(bins / (points[-1] - points[0])).hex()};
-  int i = !(b > 0) ? 0 : b < {bins} ? {name}_b[(int)b] : {len(points) - 2};
-  while (i < {len(points) - 2} && x >= {name}_x[i + 1]) ++i;
-  return i;
+  double b = (x - {float(points[0]).hex()}) * {float(bins / span).hex()};
+{straight if single else loop}
 }}"""
 
 

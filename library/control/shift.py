@@ -214,10 +214,14 @@ class AutomaticShift(Shift):
         ratio_before = self.ratio_of(gear_before, ratios)
         omega = self.input_speed(omega_gearbox, ratio_before, trace_missed, slip_limited, omega_estimate, dt)
         tau = tau_gearbox / (clip(torque_ratio, 0.7, 1) * ratio_before)
+        pump = converter.omega_pump(tau, omega)
+        tau_pump = converter.tau_pump(tau, omega)
         # A request beyond all torque would ask for a speed that the engine cannot reach against the converter.
-        pump = clip(converter.omega_pump(tau, omega), omega_idle, ca.fmax(omega_idle, converter.omega_settled(machine.tau_largest, omega)))
-        omega_engine = where(locked_before, omega, pump)
-        tau_engine = where(locked_before, tau, converter.torques(pump, omega)[0]) + tau_accessory_before
+        most = machine.tau_largest
+        pump = where(tau_pump > most, ca.fmin(pump, converter.omega_settled(most, omega)), pump)
+        tau_pump = where(pump < omega_idle, converter.tau_taken(omega_idle, omega), tau_pump)
+        omega_engine = where(locked_before, omega, ca.fmax(pump, omega_idle))
+        tau_engine = where(locked_before, tau, tau_pump) + tau_accessory_before
         return {"load": self.load_at(tau_engine, omega_engine, slip_limited, machine), "omega_input_estimate": omega_engine}
 
     @face("geared", "next_locked_before", "next_lockable")

@@ -6,8 +6,9 @@ With the ratio ``G`` of the gear::
     tau_in   = tau_out / G + tau_loss(tau_out, omega_out, G) + J alpha_in    (1)
 
 On the way back the loss is the same share of the input torque, without inertia, as in *required* (the paper's second
-assumption), also where the torque comes back reversed: a gearbox never gives power.  Where the ratio of output to
-input torque is zero or negative, which a small negative output torque gives, the same loss is taken instead.
+assumption), also where the torque comes back reversed: a gearbox never gives power.  Where more comes than was sent for, or the
+ratio of output to input torque is zero or negative, which a small negative output torque gives, the same loss is taken instead: a
+loss beside next to no torque says nothing of more.
 
 Two losses::
 
@@ -78,9 +79,9 @@ class MapGearboxParameters(GearboxParameters):
 
 
 def same_efficiency(asked: Shaft, sent: Shaft, offered: Shaft, G: Expr) -> Shaft:
-    """Return what is delivered when the share of the input torque that *required* lost is lost, whichever way it goes."""
+    """Return what is delivered when the share of the input torque that *required* lost is lost, whichever way it goes, and no more."""
     useful = asked.tau * sent.tau > 0
-    share = where(useful, ca.fabs(offered.tau) / where(useful, ca.fabs(sent.tau), 1), 1)
+    share = ca.fmin(where(useful, ca.fabs(offered.tau) / where(useful, ca.fabs(sent.tau), 1), 1), 1)
     return Shaft(G * offered.tau - share * (G * sent.tau - asked.tau), offered.omega / G, offered.alpha / G)
 
 

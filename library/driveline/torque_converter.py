@@ -14,17 +14,24 @@ speed, so that with ``Q^2 = omega_t^2 + tau_t / (R(0) C(0))``, the size of ``tau
     omega_p = Q q(omega_t / Q)                                               (3)
 
 with one table ``q`` that follows from ``C`` and ``R``, from stall (0) over equal speeds (1) to overrun (beyond 1, counted back
-down).  Between the points of the data (3) is the law, in the step and in the forward-facing model alike.
+down).  Between the points of the data (3) is the law, in the step and in the forward-facing model alike; solved for ``Q`` it is
+straight between the same points, ``Q = omega_p r(nu)``, and gives the turbine's torque at two speeds.  ``R`` is read at the same
+place ``omega_t / Q``.
 
 The pump turns at idling speed at least: below it the car creeps, and what it creeps more than was asked for the brakes take.
-The engine is not asked for more than it can give against the converter, nor for less than it must: with full or with closed
-throttle the pump comes in a time step from ``omega_own``, the speed that the rotor has reached, to
+To come to the pump's speed in this step from ``omega_own``, the one that the rotor has reached, the engine needs
 
-    (J / dt omega_own + c omega_f) / (J / dt + c)                            (4)
+    tau_p(omega_p) + tau_accessory + J (omega_p - omega_own) / dt            (4)
+
+and nothing is cut if that lies between closed and full throttle there.  Else the pump comes no further, with the one or the other,
+than to
+
+    (J / dt omega_own + c omega_f) / (J / dt + c)                            (5)
 
 where ``omega_f`` is the speed at which the pump takes all that the engine gives there, and ``c`` the mean slope of the pump's
-torque between the two.  Behind an open clutch (neutral) nothing passes.  After a missed trace the turbine's speed is the one
-really reached (paper eq. 10), as in a motor.
+torque between the two.  As that torque rises the faster the higher the speed, (5) mostly lies a little inside of what (4) allows.
+Behind an open clutch (neutral) nothing passes.  After a missed trace the turbine's speed is the one really reached (paper eq. 10),
+as in a motor.
 
 The original takes (3) from the turbine's K factor alone, which needs no torque at equal speeds up to a limit; here a converter
 that does not slip carries nothing.  It does not load an idling engine at standstill; this one does.  Left out: the oil's
@@ -54,13 +61,18 @@ from halfshaft.library.engine.engine import Engine
 RATIO = Axis("speed_ratio", "1")
 #: Speed [rad/s] that rounds off (3) at standstill without torque.
 OMEGA_FLOOR = 1e-3
-#: Difference of speeds [rad/s] below which the slope of (4) fades: between two speeds so near it says nothing.
+#: Difference of speeds [rad/s] below which the slope of (5) fades: between two speeds so near it says nothing.
 GAP_FLOOR = 0.1
+
+
+def lengths(nu: npt.NDArray[np.float64], factor: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return Q over the pump's speed from a torque over the square of that speed, at speed ratios."""
+    return np.asarray(np.sqrt(nu**2 + np.abs(factor) / factor[0]))
 
 
 def pump_table(nu: npt.NDArray[np.float64], factor: npt.NDArray[np.float64]) -> Table:
     """Return the table of (3) from a torque over the square of the pump's speed at speed ratios."""
-    Q = np.sqrt(nu**2 + np.abs(factor) / factor[0])
+    Q = lengths(nu, factor)
     return Table.of(np.where(factor >= 0, nu / Q, 2 - nu / Q), values=1 / Q, clip=False)
 
 
@@ -97,9 +109,21 @@ class TorqueConverterParameters(Parameters):
         return pump_table(self.capacity.points[0], self.factor)
 
     @cached_property
+    def ratio_by_turbine(self) -> Table:
+        """Torque ratio at the places of that table."""
+        ratio = np.interp(self.capacity.points[0], self.torque_ratio.points[0], self.torque_ratio.values)
+        return Table.of(*self.pump_by_turbine.points, values=ratio)
+
+    @cached_property
     def pump_by_pump(self) -> Table:
         """The same for the pump's torque."""
         return pump_table(self.capacity.points[0], self.capacity.values)
+
+    @cached_property
+    def length(self) -> Table:
+        """Table of (3) solved for Q, over the pump's speed, by the speed ratio."""
+        nu = self.capacity.points[0]
+        return Table.of(nu, values=lengths(nu, self.factor), clip=False)
 
 
 @dataclass(frozen=True)
@@ -137,38 +161,68 @@ class TorqueConverter(TwoSided):
 
     def omega_pump(self, tau: Expr, omega: Expr) -> Expr:
         """Return the pump's speed at a point of the turbine, equation (3) [rad/s]."""
-        return self._speed(self.p.pump_by_turbine, tau / self.stall_factor, omega)
+        Q, place = self._place(tau / self.stall_factor, omega)
+        return Q * self.p.pump_by_turbine(place)
+
+    def tau_pump(self, tau: Expr, omega: Expr) -> Expr:
+        """Return the pump's torque at a point of the turbine, equation (2) [N.m]."""
+        return tau / self.p.ratio_by_turbine(self._place(tau / self.stall_factor, omega)[1])
 
     def omega_settled(self, tau: Expr, omega: Expr) -> Expr:
         """Return the speed at which the pump takes a torque, with the turbine at a speed [rad/s]."""
-        return self._speed(self.p.pump_by_pump, tau / self.stall_capacity, omega)
+        Q, place = self._place(tau / self.stall_capacity, omega)
+        return Q * self.p.pump_by_pump(place)
 
-    def _speed(self, q: Table, square: Expr, omega: Expr) -> Expr:
+    def _place(self, square: Expr, omega: Expr) -> tuple[Expr, Expr]:
         # By cases, as the derivative of a size is zero at zero.
         Q = ca.sqrt(omega**2 + where(square >= 0, square, -square) + OMEGA_FLOOR**2)
-        return Q * q(where(square >= 0, omega / Q, 2 - omega / Q))
+        return Q, where(square >= 0, omega / Q, 2 - omega / Q)
 
-    def torques(self, omega_pump: Expr, omega: Expr) -> tuple[Expr, Expr]:
-        """Return the torques of pump and turbine at their speeds, equations (1) and (2) [N.m]."""
+    def tau_turbine(self, omega_pump: Expr, omega: Expr) -> Expr:
+        """Return the turbine's torque at the speeds of pump and turbine, equation (3) solved for Q [N.m]."""
         nu = omega / ca.fmax(omega_pump, 1)
-        tau = self.p.capacity_scale * self.p.capacity(nu) * omega_pump**2
-        return tau, self.p.torque_ratio(nu) * tau
+        square = (omega_pump * self.p.length(nu)) ** 2 - omega**2 - OMEGA_FLOOR**2
+        return self.stall_factor * where(nu <= 1, square, -square)
 
-    def reach(self, engine: Engine, omega: Expr, omega_own: Expr, omega_idle: Expr, tau_accessory: Expr, dt: Expr) -> tuple[Expr, Expr]:
-        """Return the lowest and the highest speed to which the engine can bring the pump, equation (4) [rad/s]."""
-        J_dt, taken = engine.p.J / dt, self.torques(omega_own, omega)[0]
+    def tau_taken(self, omega_pump: Expr, omega: Expr) -> Expr:
+        """Return the pump's torque at the speeds of pump and turbine [N.m]."""
+        return self.tau_pump(self.tau_turbine(omega_pump, omega), omega)
 
-        def settled(tau: Expr) -> Expr:
-            return clip(self.omega_settled(tau - tau_accessory, omega), omega_idle, engine.omega_max)
+    def within(
+        self, tau: Expr, omega: Expr, engine: Engine, omega_own: Expr, omega_idle: Expr, tau_accessory: Expr, dt: Expr
+    ) -> tuple[Expr, Expr, Expr]:
+        """Return the turbine's torque that the engine can bring in this step, (4) and (5), and the pump's [N.m] and speed [rad/s]."""
+        pump, tau_pump, J_dt = self.omega_pump(tau, omega), self.tau_pump(tau, omega), ca.fmax(engine.p.J, 1e-6) / dt
+        wanted = clip(pump, omega_idle, engine.omega_max)
+        closed, full = engine.tau_closed(wanted) - tau_accessory, engine.tau_max(wanted) - tau_accessory
 
-        def reached(tau: Expr) -> Expr:
-            end = settled(tau)
-            change = end - omega_own
-            c = ca.fmax((tau - tau_accessory - taken) * change, 0) / (change**2 + GAP_FLOOR**2)
-            return ca.fmax((J_dt * omega_own + c * end) / (J_dt + c), omega_idle)
+        def settled(tau_engine: Expr) -> Expr:
+            return clip(self.omega_settled(tau_engine - tau_accessory, omega), omega_idle, engine.omega_max)
 
+        def needed(tau_pump: Expr) -> tuple[Expr, Expr]:
+            """Return what the engine needs for the speed wanted, and whether it has that."""
+            tau = tau_pump + J_dt * (wanted - omega_own)
+            return tau, ca.logic_and(closed <= tau, tau <= full)
+
+        # The pump comes to where it is asked to, else to idling or top speed, else to what the engine can do.
+        asked = ca.logic_and(pump == wanted, needed(tau_pump)[1])
+        tau_wanted = self.tau_turbine(wanted, omega)
+        tau_pump_wanted = self.tau_pump(tau_wanted, omega)
+        need, bound = needed(tau_pump_wanted)
+        much = need > full
         # Full torque is that at the speed where the pump ends up, found from that at the present one.
-        return reached(engine.tau_closed(omega_own)), reached(engine.tau_max(settled(engine.tau_max(omega_own))))
+        given = where(much, engine.tau_max(settled(engine.tau_max(omega_own))), engine.tau_closed(omega_own))
+        end = settled(given)
+        change = end - omega_own
+        c = ca.fmax((given - tau_accessory - self.tau_taken(omega_own, omega)) * change, 0) / (change**2 + GAP_FLOOR**2)
+        reached = ca.fmax((J_dt * omega_own + c * end) / (J_dt + c), omega_idle)
+        reached = where(much, ca.fmin(wanted, reached), ca.fmax(wanted, reached))
+        tau_reached = self.tau_turbine(reached, omega)
+        return (
+            where(asked, tau, where(bound, tau_wanted, tau_reached)),
+            where(asked, tau_pump, where(bound, tau_pump_wanted, self.tau_pump(tau_reached, omega))),
+            where(asked, pump, where(bound, wanted, reached)),
+        )
 
     def chain(  # type: ignore[override]
         self, geared: Expr, clutch_open: Expr, engine: Engine, omega_own: Expr, omega_idle: Expr, dt: Expr,
@@ -176,20 +230,19 @@ class TorqueConverter(TwoSided):
     ) -> tuple[Link, ...]:  # fmt: skip
         """Return what the engine can do, and the converter itself."""
         rigid = ca.logic_or(geared, clutch_open)
+        # Torque and speed of the pump, where the limit has found them.
+        known: list[Expr] = []
 
         def turbine(load: Shaft) -> Expr:
             return where(ca.logic_and(trace_missed, ca.logic_not(rigid)), omega_before * speed_ratio * ratio, load.omega)
 
         def cut(load: Shaft) -> Shaft:
-            omega = turbine(load)
-            lowest, highest = self.reach(engine, omega, omega_own, omega_idle, tau_accessory_before, dt)
-            tau = clip(load.tau, self.torques(lowest, omega)[1], self.torques(highest, omega)[1])
-            return load._replace(tau=where(clutch_open, 0, where(geared, load.tau, tau)))
+            tau, *known[:] = self.within(load.tau, turbine(load), engine, omega_own, omega_idle, tau_accessory_before, dt)
+            return load._replace(tau=where(rigid, where(clutch_open, 0, load.tau), tau))
 
         def law(load: Shaft) -> Shaft:
             omega = turbine(load)
-            pump = ca.fmax(self.omega_pump(load.tau, omega), omega_idle)
-            tau = load.tau / self.p.torque_ratio(omega / ca.fmax(pump, 1))
+            tau, pump = known or (self.tau_pump(load.tau, omega), ca.fmax(self.omega_pump(load.tau, omega), omega_idle))
             return Shaft(where(rigid, load.tau, tau), where(rigid, load.omega, pump), load.alpha)
 
         def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
@@ -223,7 +276,7 @@ class TorqueConverter(TwoSided):
         oil = (omega_engine**2 - ca.fabs(pump) * pump) * self.stall_factor
         friction = CAPACITY * engine.tau_largest * ca.tanh((omega_engine - omega) / OMEGA_SLIP) - tau
         gap = where(clutch_open, -tau, where(geared, friction, oil))
-        tau_pump = where(ca.logic_or(geared, clutch_open), tau, tau / self.p.torque_ratio(omega / ca.fmax(omega_engine, 1)))
+        tau_pump = where(ca.logic_or(geared, clutch_open), tau, self.tau_pump(tau, omega))
         return {
             "input": Shaft(tau_pump, omega_engine, 0.0),
             "P_loss": tau_pump * omega_engine - tau * omega,

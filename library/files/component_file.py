@@ -14,7 +14,7 @@ import re
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from importlib.resources.abc import Traversable
 from itertools import pairwise
 from pathlib import Path
@@ -158,22 +158,22 @@ class Reader:
         if self.problems:
             raise InputError(where, self.problems)
 
-    def toml(self, path: Path | Traversable, kinds: Collection[str], extra: Mapping[str, type]) -> dict[str, Any]:
-        """Return what the top level of a file holds; apart from what each file has, it may have `extra` keys."""
+    def toml(self, path: str, text: str, kinds: Collection[str], extra: Mapping[str, type]) -> dict[str, Any]:
+        """Return what the top level of a file's text holds; apart from what each file has, it may have `extra` keys."""
         try:
-            data = tomllib.loads(read_text(path, LARGEST))
+            data = tomllib.loads(text)
         # A number of thousands of digits is a ValueError of Python's own.
         except (ValueError, RecursionError) as e:
-            raise InputError(str(path), [f"not a TOML file: {e}"]) from e
+            raise InputError(path, [f"not a TOML file: {e}"]) from e
         if data.get("schema", SCHEMA) != SCHEMA:
-            raise InputError(str(path), [f"schema = {shown(data['schema'])}, this version reads schema {SCHEMA}"])
+            raise InputError(path, [f"schema = {shown(data['schema'])}, this version reads schema {SCHEMA}"])
         keys = {"schema": int, "kind": str, "name": str, "title": str, "source": str, **extra}
         self.keys(data, keys, "")
         self.required(data, ("schema", "kind", "name", "title"), "")
         wrong = [k for k, v in data.items() if k in keys and type(v) is not keys[k]]
         self.problems.extend(f"{k} = {shown(data[k])}, must be {_TYPES[keys[k]]}" for k in wrong)
         data = {k: cleaned(v) if k in ("title", "source") else v for k, v in data.items() if k in keys and k not in wrong}
-        stem = path.name.removesuffix(".toml")
+        stem = Path(path).name.removesuffix(".toml")
         if data.get("name", stem) != stem:
             self.problems.append(f'name = {shown(data["name"])}, must be the name of the file, "{stem}"')
         elif problem := name_problem(stem):
@@ -228,6 +228,8 @@ class Reader:
             self.problems.append(f"{where} has lines of unequal length")
             return None
         values = np.asarray(_to_si(given, unit, spec.unit), dtype=float)
+        # Several vehicles hold it.
+        values.flags.writeable = False
         for index in np.argwhere(~np.vectorize(spec.holds, otypes=[bool])(values)):
             place = "".join(f"[{i + 1}]" for i in index)
             allowed = spec.allowed() or "a finite number"
@@ -415,17 +417,23 @@ def read_component(source: str | Path, derived: Collection[str] = ()) -> Compone
         if source not in library:
             raise InputError(f"component '{source}'", [f"not in the library{nearest(source, library)}"])
         path = library[source][1]
+    return _component(str(path), read_text(path, LARGEST), frozenset(derived))
+
+
+# Vehicles share most of their parts; a file that has changed since is another text.
+@lru_cache(maxsize=256)
+def _component(path: str, text: str, derived: frozenset[str]) -> ComponentFile:
     reader = Reader()
-    data = reader.toml(path, component_kinds(), {"parameters": dict})
+    data = reader.toml(path, text, component_kinds(), {"parameters": dict})
     reader.required(data, ("source",), "")
     values: dict[str, Any] = {}
     if data.get("kind") in component_kinds():
         values = reader.parameters(data.get("parameters", {}), component_kinds()[data["kind"]].parameters, "parameters.", derived)
-    reader.finish(str(path))
-    file = ComponentFile(data["kind"], data["name"], data["title"], data["source"], str(path), values)
-    if values.keys() >= set(derived):
+    reader.finish(path)
+    file = ComponentFile(data["kind"], data["name"], data["title"], data["source"], path, values)
+    if values.keys() >= derived:
         try:
             file.build()
         except InputError as e:
-            raise InputError(str(path), [f"parameters: {p}" for p in e.problems]) from None
+            raise InputError(path, [f"parameters: {p}" for p in e.problems]) from None
     return file

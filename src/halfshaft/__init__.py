@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from halfshaft.library.files.component_file import component_names
     from halfshaft.models.vehicle import Vehicle, vehicle_names
     from halfshaft.studies.acceleration import accelerate
+    from halfshaft.studies.pictures import plot_sweep
+    from halfshaft.studies.sweep import sweep
 
 __all__ = [
     "Cycle",
@@ -27,7 +29,9 @@ __all__ = [
     "component_names",
     "cycle_names",
     "plot_run",
+    "plot_sweep",
     "run",
+    "sweep",
     "vehicle_names",
 ]
 
@@ -43,7 +47,9 @@ _HOMES = {
     "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",
     "plot_run": "cosim.plot",
+    "plot_sweep": "studies.pictures",
     "run": "cosim.simulate",
+    "sweep": "studies.sweep",
     "vehicle_names": "models.vehicle",
 }
 

@@ -22,9 +22,8 @@ RUN = ("run", "small-car-electric", "--cycle", "us06")
 
 
 @pytest.fixture(autouse=True, scope="module")
-def cache(tmp_path_factory):
+def width():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HALFSHAFT_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setenv("COLUMNS", "100")
         yield
 
@@ -198,13 +197,13 @@ def test_a_full_disk_is_an_error_without_a_trace(tmp_path, monkeypatch):
 PROGRAM = (sys.executable, "-m", "halfshaft")
 
 
-def without_compiler(cache, *arguments):
-    env = {**os.environ, "CC": "/nowhere/cc", "HALFSHAFT_CACHE": str(cache)}
+def without_compiler(*arguments, **settings):
+    env = {**os.environ, "CC": "/nowhere/cc", **settings}
     return subprocess.run([*PROGRAM, *arguments], env=env, capture_output=True, text=True, check=False)
 
 
 def test_without_a_compiler_it_runs_with_one_warning(tmp_path):
-    result = without_compiler(tmp_path, "run", "small-car-electric", "--cycle", "im240", "--json")
+    result = without_compiler("run", "small-car-electric", "--cycle", "im240", "--json", HALFSHAFT_CACHE=str(tmp_path))
     assert result.returncode == 0
     (line,) = result.stderr.splitlines()
     assert line.startswith("warning: running without compiled code")
@@ -214,7 +213,7 @@ def test_without_a_compiler_it_runs_with_one_warning(tmp_path):
 
 def test_without_a_compiler_the_cache_serves():
     done("run", "small-car-electric", "--cycle", "im240", "--json")
-    result = without_compiler(os.environ["HALFSHAFT_CACHE"], "run", "small-car-electric", "--cycle", "im240", "--json")
+    result = without_compiler("run", "small-car-electric", "--cycle", "im240", "--json")
     assert result.returncode == 0
     (line,) = result.stderr.splitlines()
     assert line.startswith("warning: the C compiler that the environment variable CC names was not found")
@@ -532,7 +531,7 @@ def test_the_hybrid_time_stands_beside_the_refined_one():
 
 
 def test_without_a_compiler_the_header_says_so(tmp_path):
-    result = without_compiler(tmp_path, "run", "small-car-electric", "--cycle", "im240")
+    result = without_compiler("run", "small-car-electric", "--cycle", "im240", HALFSHAFT_CACHE=str(tmp_path))
     assert "interpreted step" in result.stdout
     assert "compiled step" not in result.stdout
 

@@ -69,7 +69,9 @@ def test_a_recording_is_restored_or_its_gaps_are_told(tmp_path):
     gps = Cycle(name="gps", time=t, speed=np.abs(np.interp(t, us06.time, us06.speed) + rng.normal(0, 0.2, len(t))))
     path = tmp_path / "gps.csv"
     gps.save(path)
-    assert "gps: 4.1 s without points" in told(path)["gaps"][0]
+    before = told(path)
+    assert before["gaps"] == [pytest.approx({"begin": 299.9, "end": 304.0, "v_begin": 33, "v_end": 33}, abs=1.5)]
+    assert before["warnings"][0].startswith("4.1 s without points from t = 299.9 s on")
     found = told(path, "--restore")
     assert found["statistics"]["stops"] == 5
     assert found["gaps"] == []
@@ -85,8 +87,10 @@ def test_all_that_is_wrong_is_one_message(tmp_path):
     assert result.exit_code == 2
     assert result.stdout == ""
     for text in (
-        "--pause and --soak", "--window 5", "'udds*0'", "cycle 'foo': not in the library", "duration = -3.0 s", "grade = 300%",
+        "--pause and --soak", "--window 5", "'udds*0'", "cycle 'foo': not in the library", "duration = -3 s", "grade = 300%",
         "a cycle is written as .csv",
     ):  # fmt: skip
         assert text in result.stderr
     assert call("udds*9999999").exit_code == 2
+    assert "duration = abc s, must be a number" in call("udds", "pause=abc").stderr
+    assert "--restore goes with CSV files" in call("udds", "--restore").stderr

@@ -382,7 +382,8 @@ def test_series_follow_the_climate_and_forecast_conventions():
     for name, series in data.variables.items():
         assert series.attrs["long_name"], name
         known.parse_units(series.attrs["units"])
-    assert data["control.engine_on"].attrs["flag_meanings"] == "no yes"
+    flag = data["control.engine_on"].attrs
+    assert (flag["flag_values"].tolist(), flag["flag_meanings"]) == ([0, 1], "no yes")
 
 
 # Prompt and notebook.

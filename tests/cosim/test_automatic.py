@@ -72,6 +72,15 @@ def test_a_locked_converter_loses_nothing_and_locks_in_the_gears_that_may():
     assert result["converter.P_loss"][~locked].max() > 1e3
 
 
+def test_short_steps_change_no_gear_back_at_once():
+    # Slowing down in second gear leads over its down line to the up line of first gear.
+    result = run(Vehicle.load("small-car-automatic"), UDDS, dt=0.1)
+    gear = result["shift.gear"]
+    at = np.flatnonzero(np.diff(gear))
+    assert np.diff(at).min() * 0.1 > 0.95
+    assert len(at) < 1.1 * np.count_nonzero(np.diff(run(Vehicle.load("small-car-automatic"), UDDS)["shift.gear"]))
+
+
 @pytest.mark.parametrize(
     ("at", "value", "said"),
     [(0, 0.0, "must begin at a speed ratio of 0"), (5, 0.001, "must fall from each point to the next"), (-1, 1e-3, "must fall")],

@@ -309,6 +309,13 @@ def test_noise_is_told_and_smoothed():
         assert run(car, mended, dt=dt).energies["motor.P_in"] == pytest.approx(clean, rel=0.05)
 
 
+@pytest.mark.parametrize(("stops", "every", "doubted"), [(4, 2.5, False), (5, 2.5, True), (40, 16.0, False), (40, 14.0, True)])
+def test_more_than_four_stops_are_told_where_they_come_every_quarter_of_a_minute(stops, every, doubted):
+    trace = Cycle(name="stops", time=np.arange(2 * stops + 1) * every / 2, speed=np.resize([0.0, 5.0], 2 * stops + 1))
+    told = f"the trace stops {stops} times, every {every:.2g} s (smooth it: --smooth 2 or Cycle.smoothed(2))"
+    assert trace.doubts == ((told,) if doubted else ())
+
+
 @pytest.mark.parametrize("name", cycle_names())
 def test_no_cycle_of_the_library_is_doubted(name):
     assert Cycle.load(name).doubts == ()

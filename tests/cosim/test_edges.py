@@ -20,13 +20,6 @@ TRACE = replace(US06, time=US06.time[:200], speed=US06.speed[:200])
 MIXED = 20
 
 
-@pytest.fixture(autouse=True, scope="module")
-def cache_folder(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HALFSHAFT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 def edges(spec):
     low = np.nextafter(spec.gt, np.inf) if spec.ge is None and spec.gt is not None else spec.ge
     high = np.nextafter(spec.lt, -np.inf) if spec.le is None and spec.lt is not None else spec.le

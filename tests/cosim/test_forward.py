@@ -35,13 +35,14 @@ def forward(name, cycle, **values):
 
 
 @pytest.mark.parametrize(("name", "grade"), [*((name, 0.2) for name in CARS), ("small-car-electric", -0.2), ("small-car-automatic", -0.2)])
-def test_a_vehicle_stands_on_a_hill_for_a_minute(name, grade):
-    result = forward(name, hill(grade, (0, 0), (60, 0)))
-    assert abs(result["body.distance"][-1]) < 2e-3
+def test_a_vehicle_stands_on_a_hill(name, grade):
+    # It creeps: by less than 2 mm in a minute.
+    result = forward(name, hill(grade, (0, 0), (15, 0)))
+    assert abs(result["body.distance"][-1]) < 5e-4
 
 
-@pytest.mark.parametrize("name", CARS)
 @pytest.mark.parametrize("grade", [0.15, -0.05, -0.2])
+@pytest.mark.parametrize("name", CARS)
 def test_every_vehicle_starts_on_a_hill(name, grade):
     v = forward(name, hill(grade, (0, 0), (2, 0), (2.001, 8), (16, 8)))["body.v"]
     assert v.min() > -1e-3

@@ -48,8 +48,7 @@ def test_the_refined_mode_accelerates_no_slower_than_the_plain_step(name):
 @pytest.mark.fmu
 @every_car
 @pytest.mark.parametrize("via", ["fmu2", "fmu3"])
-def test_an_fmu_is_the_step(name, via, tmp_path, monkeypatch):
-    monkeypatch.setenv("HALFSHAFT_CACHE", str(tmp_path))
+def test_an_fmu_is_the_step(name, via):
     step, fmu = (run(vehicle_of(name), US06, via=v) for v in ("step", via))
     np.testing.assert_allclose(fmu.history, step.history, rtol=1e-12, atol=1e-9)
 

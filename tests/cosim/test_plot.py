@@ -8,7 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from halfshaft import Cycle, InputError, Vehicle, plot_run, run
-from halfshaft.cosim.plot import _labels
+from halfshaft.cosim.plot import _bars
+from halfshaft.cosim.plot import labels_of as names_of
 
 
 @cache
@@ -78,10 +79,10 @@ def test_runs_over_each_other_have_one_line_each_and_their_names():
 
 def test_names_of_runs_say_what_differs():
     light, heavy, other = done(), done(m=1600), done(cycle="nycc")
-    assert _labels([light, other]) == ["us06", "nycc"]
-    assert _labels([light, heavy]) == ["body.m = 1144", "body.m = 1600"]
-    assert _labels([light, light, heavy]) == ["body.m = 1144 (1)", "body.m = 1144 (2)", "body.m = 1600"]
-    assert _labels([light, heavy, other]) == ["us06, body.m = 1144", "us06, body.m = 1600", "nycc, body.m = 1144"]
+    assert names_of([light, other]) == ["us06", "nycc"]
+    assert names_of([light, heavy]) == ["body.m = 1144", "body.m = 1600"]
+    assert names_of([light, light, heavy]) == ["body.m = 1144 (1)", "body.m = 1144 (2)", "body.m = 1600"]
+    assert names_of([light, heavy, other]) == ["us06, body.m = 1144", "us06, body.m = 1600", "nycc"]
     assert {"before", "after"} <= set(texts_of(plot_run(light, heavy, labels=["before", "after"])))
 
 
@@ -101,14 +102,14 @@ def test_any_output_is_a_panel_in_the_units_of_a_reader():
     assert np.allclose(figure.axes[1].lines[0].get_ydata(), result["motor.P_out"] / 1000)
 
 
-@pytest.mark.parametrize(("copies", "unit", "end"), [(1, "s", 600.0), (4, "min", 40.0), (30, "h", 5.0)])
-def test_long_runs_count_minutes_or_hours(copies, unit, end):
+@pytest.mark.parametrize(("copies", "unit", "start", "end"), [(1, "s", 3600, 4200), (4, "min", 60, 100), (30, "h", 1, 6)])
+def test_long_runs_count_minutes_or_hours(copies, unit, start, end):
     us06 = Cycle.load("us06")
     speed = np.concatenate([[0.0], *[us06.speed[1:]] * copies])
-    result = run(Vehicle.load("small-car-conventional"), replace(us06, time=np.arange(len(speed)) * 1.0, speed=speed))
+    result = run(Vehicle.load("small-car-conventional"), replace(us06, time=np.arange(len(speed)) + 3600.0, speed=speed))
     (ax,) = plot_run(result, panels="speed").axes
     assert ax.get_xlabel() == f"time [{unit}]"
-    assert ax.get_xlim() == pytest.approx((0.0, end))
+    assert ax.get_xlim() == pytest.approx((start, end))
 
 
 def test_axes_of_the_user_are_drawn_into():
@@ -132,3 +133,46 @@ def test_what_cannot_be_drawn_is_said_at_once():
     assert e.value.problems[2] == "1 axes for 2 panels: sped, gear"
     with pytest.raises(InputError, match="8 runs, at most 7 can be told apart\n  3 labels for 8 runs"):
         plot_run(*[done()] * 8, labels=["a", "b", "c"])
+
+
+def test_the_speed_lies_over_the_request_and_what_was_missed_is_marked():
+    result = done("small-car-conventional", m=3000)
+    (ax,) = plot_run(result, panels="speed").axes
+    wanted, achieved = 3.6 * result.the("request"), 3.6 * result.the("speed")
+    asked, driven = (line.get_ydata() for line in ax.lines)
+    assert np.allclose(asked, wanted)
+    assert np.allclose(driven, achieved)
+    missed = wanted - achieved > 3.6 * result.inputs.parameters[result.tags.the("miss threshold")]
+    assert missed.sum() > 10
+    (marks,) = ax.collections
+    spans = np.array([(path.vertices[:, 0].min(), path.vertices[:, 0].max()) for path in marks.get_paths()])
+    assert np.allclose(spans, np.column_stack([result.time - 1, result.time])[missed])
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["requested", "achieved", "trace missed"]
+
+
+def test_a_request_that_nobody_can_follow_does_not_flatten_what_was_achieved():
+    full = Cycle(name="full", time=np.array([0.0, 1, 20]), speed=np.array([0.0, 100, 100]))
+    result = run(Vehicle.load("small-car-electric"), full)
+    (ax,) = plot_run(result, panels="speed").axes
+    assert ax.get_ylim() == pytest.approx((0, 1.1 * 1.25 * 3.6 * result.the("speed").max()))
+    (ax,) = plot_run(done(), panels="speed").axes
+    assert ax.get_ylim() == pytest.approx((0, 1.1 * 3.6 * done().the("request").max()))
+
+
+@pytest.mark.parametrize("cars", [("small-car-electric",), ("small-car-electric", "small-car-series", "small-car-conventional")])
+def test_bars_of_runs_lie_one_below_the_other_around_their_label(cars):
+    (ax,) = plot_run(*map(done, cars), panels="energy").axes
+    labels = [text.get_text() for text in ax.get_yticklabels()]
+    bottom, top = ax.get_ylim()
+    assert top < -0.5 < len(labels) - 0.5 < bottom
+    middles = [bar.get_y() + bar.get_height() / 2 for bar in ax.patches]
+    places = {round(y - label, 9) for y in middles for label in range(len(labels)) if abs(y - label) < 0.5}
+    thick = 0.84 / len(cars)
+    assert sorted(places) == pytest.approx([0] if len(cars) == 1 else [-thick, 0, thick])
+    # No two on top of each other.
+    assert min(np.diff(sorted(middles))) > 0.9 * thick
+    for car in cars:
+        lost = {bar.label: bar.energy / 3600 for bar in _bars(done(car))}
+        assert set(lost) <= set(labels)
+        widths = [bar.get_width() for bar in ax.patches]
+        assert all(any(x == pytest.approx(width) for width in widths) for x in lost.values())

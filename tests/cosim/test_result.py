@@ -1,4 +1,5 @@
 import json
+import shutil
 from dataclasses import replace
 
 import h5py
@@ -13,16 +14,14 @@ from halfshaft.library.base.errors import InputError
 from halfshaft.models.vehicle import Vehicle
 
 
-@pytest.fixture(autouse=True, scope="module")
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HALFSHAFT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def result():
     return run(Vehicle.load("small-car-series"), Cycle.load("us06"))
+
+
+@pytest.fixture(scope="module")
+def saved(result, tmp_path_factory):
+    return result.save(tmp_path_factory.mktemp("saved") / "run.nc")
 
 
 def test_a_saved_run_comes_back_whole(result, tmp_path):
@@ -86,11 +85,10 @@ def test_a_file_that_is_no_result_is_refused(content, tmp_path):
 
 @pytest.mark.parametrize("key", ["inputs", "outputs", "energies", "highest", "last"])
 @pytest.mark.parametrize("value", [None, 3, [], {}, "x"])
-def test_a_result_with_a_changed_text_is_refused(result, tmp_path, key, value):
-    path = tmp_path / "run.nc"
-    result.save(path)
-    with h5py.File(path, "r+") as data:
-        data.attrs["result"] = json.dumps({**json.loads(data.attrs["result"]), key: value})
+def test_a_result_with_a_changed_text_is_refused(saved, tmp_path, key, value):
+    path = shutil.copy(saved, tmp_path / "run.nc")
+    with h5py.File(path, "r+") as file:
+        file.attrs["result"] = json.dumps({**json.loads(file.attrs["result"]), key: value})
     with pytest.raises(InputError, match="is not a result of halfshaft"):
         Result.load(path)
 

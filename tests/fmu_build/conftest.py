@@ -145,13 +145,6 @@ class Kit(NamedTuple):
     cycle: CycleTable
 
 
-@pytest.fixture(autouse=True, scope="session")
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HALFSHAFT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="session")
 def kit():
     t = np.arange(1.0, 61.0)

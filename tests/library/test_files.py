@@ -46,6 +46,18 @@ def test_a_good_file_gives_parameters_in_si(tmp_path):
     assert p.overtorque == 1.0
 
 
+def test_a_file_is_read_once_until_it_changes(tmp_path):
+    path = write(tmp_path, MOTOR)
+    first = read_component(path)
+    assert read_component(path) is first
+    # What vehicles share, none of them can change.
+    with pytest.raises(ValueError, match="read-only"):
+        first.values["tau_max"].values[0] = 0.0
+    write(tmp_path, MOTOR.replace('title = "M"', 'title = "N"'))
+    assert read_component(path).title == "N"
+    assert read_component(path, ["omega_max"]) is not read_component(path)
+
+
 @pytest.mark.parametrize("kind", component_kinds())
 def test_every_kind_has_components_and_all_of_them_load(kind):
     names = component_names(kind)

@@ -66,3 +66,15 @@ def test_a_map_without_floors_stays_finite(name):
                 source, given, loss = trip(part, tau, omega, offered, gear=1)
                 assert np.isfinite([float(source.tau), given, loss]).all()
                 assert loss >= -1e-9 * abs(offered * omega)
+
+
+@pytest.mark.parametrize("name", ["five-speed-map", "five-speed-polynomial"])
+def test_more_torque_than_was_sent_for_loses_no_more_than_was_required(name):
+    part = gearbox(name)
+    for asked in (0.1, 1.0, 20.0):
+        source, _, _ = trip(part, asked, 50.0, 0.0)
+        loss = float(source.tau) * float(source.omega) - asked * 50.0
+        _, delivered, lost = trip(part, asked, 50.0, 60.0)
+        assert loss > 0
+        assert lost == pytest.approx(loss, rel=1e-9)
+        assert delivered > asked

@@ -171,7 +171,7 @@ def converter_case(part, geared, seed):
     omega = np.append(rng.uniform(0, 400, N - 20), np.zeros(20))
     tau = rng.uniform(-100, 150, N)
     if not geared:
-        ends = [[float(part.torques(p, w)[1]) for p in part.reach(engine, w, own, 80.0, 2.0, DT)] for w in omega]
+        ends = [[float(part.within(tau, w, engine, own, 80.0, 2.0, DT)[0]) for tau in (-1e4, 1e4)] for w in omega]
         tau = np.array([low + (high - low) * share for (low, high), share in zip(ends, rng.uniform(1e-3, 1 - 1e-3, N), strict=True)])
         # Below idling speed the pump would turn too slowly.
         kept = np.array([float(part.omega_pump(t, w)) for t, w in zip(tau, omega, strict=True)]) > 80.0

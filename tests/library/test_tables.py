@@ -176,6 +176,8 @@ def test_an_axis_may_be_very_uneven():
         (([0, 1], [0, np.inf]), np.zeros((2, 2)), "axis 2 has a missing value"),
         (([0, 1], [0, 1]), [[1, 2], [3, np.nan]], r"the value at position \(2, 2\) is missing or not a number"),
         (([],), [], "axis 1 has no points"),
+        (([-1e301, 0, 1],), [1, 2, 3], "axis 1 has points too close to each other, or too far apart"),
+        (([0, 1e-300, 1],), [1, 2, 3], "axis 1 has points too close to each other, or too far apart"),
     ],
 )
 def test_a_table_that_cannot_be_says_why(points, values, message):

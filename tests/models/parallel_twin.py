@@ -131,7 +131,7 @@ def parallel(parameters, samples, *, behind_gearbox=False):
     p = parameters
     road, final, gearbox = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Gearbox(p["gearbox"])
     engine, belt, ratios = HybridEngine(p["engine"]), MechanicalAccessories(p["mechanical_accessories"]), p["gearbox"].ratios
-    motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"]), Bus()
+    motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"], "electric_accessories"), Bus()
     battery, coupler = Battery(p["battery"], p["motor"].U_min), Coupler(p["coupler"], "gearbox" if behind_gearbox else "clutch")
     control = ParallelControl(p["control"], engine, motor, p["coupler"].n, samples.v_start)
     engine.own = engine.free = engine.command = control.w_idle
@@ -164,8 +164,7 @@ def parallel(parameters, samples, *, behind_gearbox=False):
         road.available(*final.available(T, w))
         if behind_gearbox:
             final.seen = {}  # It takes its neighbour for the gearbox.
-        row = seen(road, final, gearbox, shift, clutch, belt, engine, control, motor, accessories, bus, battery, coupler)
-        yield {name.replace("accessories.", "electric_accessories.", name.startswith("acc")): x for name, x in row.items()}
+        yield seen(road, final, gearbox, shift, clutch, belt, engine, control, motor, accessories, bus, battery, coupler)
 
 
 class MildControl:
@@ -213,7 +212,7 @@ def mild(parameters, samples):
     p = parameters
     road, final, gearbox = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Gearbox(p["gearbox"])
     engine, belt = HybridEngine(p["engine"], p["control"].omega_idle), MechanicalAccessories(p["mechanical_accessories"])
-    motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"]), Bus()
+    motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"], "electric_accessories"), Bus()
     battery, n, T_drag = Battery(p["battery"], p["motor"].U_min), p["coupler"].n, p["coupler"].tau_loss
     control = MildControl(p["control"], engine, motor, n, samples.v_start)
     T_largest = engine.T_largest + n * motor.p.overtorque * motor.p.torque_scale * max(motor.p.tau_max.values.tolist())
@@ -239,5 +238,4 @@ def mild(parameters, samples):
         T_a, w_a = motor.available(accessories.available(P))
         T, w = clutch.available(T_e + n * T_a - T_loss, min(w_shaft, w_e, w_a / n))
         road.available(*final.available(*gearbox.available(T, w)))
-        row = seen(road, final, gearbox, shift, clutch, belt, engine, control, motor, accessories, bus, battery)
-        yield {name.replace("accessories.", "electric_accessories.", name.startswith("acc")): x for name, x in row.items()}
+        yield seen(road, final, gearbox, shift, clutch, belt, engine, control, motor, accessories, bus, battery)

@@ -20,6 +20,7 @@ LIMITS = Cycle(
     grade_by_distance=([0, 150, 250, 400, 480, 900, 1400, 2000], [0, 0, 0.25, 0.25, -0.2, 0.06, -0.08, 0.01]),
 )
 MOVING = replace(US06, name="moving", time=US06.time[60:140], speed=US06.speed[60:140])
+START = replace(UDDS, name="start of UDDS", time=UDDS.time[:346], speed=UDDS.speed[:346])
 RUNS = {"udds": (UDDS, 1.0), "limits": (LIMITS, 1.0), "limits, short steps": (LIMITS, 0.1), "moving": (MOVING, 0.2)}
 
 CARS = {
@@ -89,6 +90,9 @@ CASES = [(name, car) for name, (_, cars) in VEHICLES.items() for car in cars]
 def test_the_step_is_the_car_by_hand(name, car, cycle):
     twin, cars = VEHICLES[name]
     vehicle, (trace, dt) = Vehicle.load(name).with_values(cars[car]), RUNS[cycle]
+    if trace is UDDS and cars[car]:
+        # The rest of it takes no branch by hand that the start and the limits do not; the cars as they are run all of it.
+        trace = START
     result = run(vehicle, trace, dt=dt)
     by_hand = columns(twin(vehicle.parameters, trace.sampled(dt)))
     assert len(by_hand) > 50

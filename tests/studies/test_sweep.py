@@ -1,13 +1,18 @@
 """Sweeps: the points of grids and samples, what is found there, and what is refused."""
 
+import pickle
+import sys
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from halfshaft import Cycle, InputError, Vehicle
+from halfshaft import Cycle, InputError, Vehicle, vehicle_names
+from halfshaft.studies import batch
+from halfshaft.studies.acceleration import AccelerationTest
 from halfshaft.studies.design import Axis, Sample, design_of, read_axes
-from halfshaft.studies.sweep import sweep, table, title_of, unit_of
+from halfshaft.studies.figures import title_of, unit_of
+from halfshaft.studies.sweep import sweep, table
 from halfshaft.studies.task import Drive, Found
 
 CAR = Vehicle.load("small-car-electric")
@@ -59,7 +64,7 @@ def test_values_are_si_or_have_units(given):
 
 def test_ends_may_be_negative_or_have_a_point_next_to_the_range():
     (axis,) = design({"body.c_d": "0.2...4:3"}).axes
-    assert axis.values == pytest.approx((0.2, 0.3, 0.4))
+    assert axis.values == (0.2, 0.3, 0.4)
 
 
 def test_a_sample_takes_any_number_of_a_range_and_each_of_a_list_as_often():
@@ -105,6 +110,47 @@ def test_a_sweep_finds_what_single_runs_find():
     assert "fuel_L" not in found
 
 
+def test_many_plain_runs_are_made_in_batches_and_find_the_same(monkeypatch, tmp_path):
+    car = Vehicle.load("small-car-series")
+    axes = {
+        "control.soc_high": [0.4, 0.5, 0.8],
+        "control.soc_low": [0.3, 0.45],
+        "motor": "ac-75kw,ac-83kw",
+        "motor.P_max": ["60 kW", "80 kW"],
+    }
+    tasks = [Drive(SHORT), Drive(Cycle(name="rest", time=[0, 9], speed=[0, 0]), "refined")]
+    alone = sweep(car, axes, tasks, workers=1)
+    module = sys.modules["halfshaft.studies.sweep"]
+    monkeypatch.setattr(module, "BATCHED", 24)
+    monkeypatch.setattr(module, "BATCH", 7)
+    together = sweep(car, axes, tasks, folder=tmp_path)
+    about_the_method = {f"{task.name}.{name}" for task in tasks for name in ("balance_relative", "speed_mismatch_relative")}
+    assert set(alone) - set(together) == about_the_method
+    assert alone[[*together]].drop_vars("notes").equals(together.drop_vars("notes"))
+    assert (together["notes"] == "").all()
+    # A window upside down: 4 of 24 points.
+    assert (together["failure"] != "").sum() == 4
+    assert "must be below soc_high = 0.4" in str(together["failure"].values[0, 1, 0, 0])
+    # In portions of another size they are the same.
+    monkeypatch.setattr(module, "BATCH", 24)
+    assert sweep(car, axes, tasks).equals(together)
+    assert sweep(car, axes, tasks, folder=tmp_path).equals(together)
+
+
+def test_a_run_of_a_batch_that_loses_a_number_is_a_failing_point(monkeypatch):
+    def losing(*args, **kwargs):
+        found = batch.run_batch.__wrapped__(*args, **kwargs)
+        lost = found["body.m"] == 1200
+        return found.where(~lost).assign(status=lost.astype(int), lost_by=found["lost_by"].where(~lost, 3.0))
+
+    losing.__wrapped__ = batch.run_batch
+    monkeypatch.setattr(batch, "run_batch", losing)
+    monkeypatch.setattr(sys.modules["halfshaft.studies.sweep"], "BATCHED", 2)
+    found = sweep(CAR, {"body.m": [1000, 1200, 1400]}, Drive(SHORT))
+    assert found["failure"].values.tolist() == ["", "Small battery electric car: by t = 3 s a result is not a number; check the inputs", ""]
+    assert found["soc_end"].isnull().values.tolist() == [False, True, False]
+
+
 def test_several_vehicles_are_an_axis():
     cars = [CAR, Vehicle.load("small-car-conventional")]
     found = sweep(cars, {"body.m": [1000, 1400]}, Drive(SHORT), responses=["fuel_L", "distance_m"])
@@ -129,6 +175,28 @@ def test_a_vehicle_that_cannot_be_is_a_failing_point():
     found = sweep(Vehicle.load("small-car-series"), {"control.soc_low": [0.3, 0.5], "control.soc_high": [0.4, 0.6]}, Weigh())
     assert found["mass_kg"].isnull().values.tolist() == [[False, False], [True, False]]
     assert "soc_low = 0.5" in str(found["failure"].values[1, 0])
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_a_vehicle_that_was_looked_at_can_be_sent_to_another_process(name):
+    car = Vehicle.load(name)
+    assert car.rated is not None
+    assert car.tags
+    assert car.notes is not None
+    assert car.structure
+    sent = pickle.loads(pickle.dumps(car))
+    assert sent.structure == car.structure
+    assert sent.to_toml() == car.to_toml()
+    assert sent.with_values({"body.m": 1000}).values == car.with_values({"body.m": 1000}).values
+
+
+def test_a_task_that_cannot_be_sent_is_refused_by_other_processes():
+    @dataclass(frozen=True)
+    class Local(Weigh):
+        pass
+
+    with pytest.raises(InputError, match="cannot be sent to other processes, only workers=1"):
+        sweep(CAR, {"body.m": "1000..1600:4"}, Local(), workers=2)
 
 
 def test_progress_counts_every_point_once():
@@ -202,6 +270,35 @@ def test_what_is_no_vehicle_or_task_is_refused():
     assert problems([CAR, CAR], {"body.m": [1000, 1200]}, Weigh()) == ["vehicle 'small-car-electric' is given 2 times"]
 
 
+def test_what_is_no_list_and_what_is_too_much_is_refused():
+    axes = {"body.m": 1000, "motor": None, "body.c_d": "0.2..0.3:100001", "body.A": [1, None]}
+    assert problems(CAR, axes, Weigh()) == [
+        "axis motor has one value, must have at least two",
+        "axis body.m = 1000, must be a list or a range such as 1000..1600:4",
+        'axis body.c_d = "0.2..0.3:100001" has 100001 values, must have at most 100000',
+        'axis body.A = None, must be a number and a unit in quotes such as "1 m^2"',
+    ]
+    assert problems(CAR, {name: "1..2:5000" for name in ("wheel.J", "body.A")}, Weigh()) == [
+        "has 25000000 points, must have at most 10000000; draw a sample"
+    ]
+    assert problems(CAR, {"wheel.J": "1..2"}, Weigh(), sample="saltelli:4194304") == [
+        "has 12582912 points, must have at most 10000000; draw a sample"
+    ]
+
+
+def test_options_of_a_test_that_cannot_be_are_refused_before_it_runs():
+    task = AccelerationTest(pairs=((60, 40),))
+    assert problems(CAR, {"body.m": [1000, 1200]}, task) == [f"acceleration: {problem}" for problem in task.problems()]
+    assert "frozen dataclass" in problems(CAR, {"body.m": [1000, 1200]}, Weigh)[0]
+
+
+def test_points_that_fail_do_not_hide_a_response_that_there_is_not():
+    car, axes = Vehicle.load("small-car-series"), {"control.soc_low": [0.5, 0.3], "control.soc_high": [0.4, 0.6]}
+    assert problems(car, axes, Weigh(), responses=["mass"]) == ["response mass is not known, did you mean 'mass_kg'?"]
+    found = sweep(CAR, {"body.m": [1000, 1200]}, Weigh(fails_above=900.0), responses=["mass_kg"])
+    assert found["mass_kg"].isnull().all()
+
+
 def test_a_response_that_there_is_not_is_refused_before_the_sweep_runs():
     told = []
     said = problems(CAR, {"body.m": "1000..1600:50"}, Weigh(), responses=["mas_kg", "fuel_L"], progress=lambda *n: told.append(n))
@@ -214,7 +311,7 @@ def test_a_response_that_there_is_not_is_refused_before_the_sweep_runs():
 
 @pytest.mark.parametrize(
     ("figure", "unit", "title"),
-    [("fuel_economy_L_per_100km", "L/100 km", "fuel economy"), ("udds.energy_MPGe", "MPGe", "udds: energy"), ("soc_end", "1", "soc end"),
+    [("fuel_economy_L_per_100km", "L/100 km", "fuel economy"), ("udds.grade_percent", "%", "udds: grade"), ("soc_end", "1", "soc end"),
      ("distance_m", "m", "distance")],
 )  # fmt: skip
 def test_a_figure_is_named_and_has_the_unit_that_its_name_ends_with(figure, unit, title):

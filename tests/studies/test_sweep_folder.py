@@ -72,7 +72,7 @@ def refused(path, axes=None, tasks=None, **kwargs):
 
 
 def children(pid):
-    return [int(x) for x in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [int(x) for thread in Path(f"/proc/{pid}/task").glob("*/children") for x in thread.read_text().split()]
 
 
 def runs(pid):
@@ -86,7 +86,8 @@ def test_a_sweep_that_was_killed_or_interrupted_goes_on_and_ends_as_if_it_had_no
     path = tmp_path / "study"
     cycle = Cycle.load("nycc")
     killed = begun(path, 2, tmp_path)
-    workers = children(killed.pid)
+    while not (workers := children(killed.pid)) and killed.poll() is None:
+        time.sleep(0.01)
     (problem,) = refused(path, tasks=Drive(cycle))
     assert problem == f"another process works in it (process {killed.pid} on {os.uname().nodename}); wait for it, or stop it"
     killed.kill()
@@ -142,7 +143,7 @@ def test_a_folder_of_another_sweep_is_refused_and_says_what_differs(tmp_path):
     said = refused(tmp_path, {"body.m": "1000..1700:4"}, Weigh(5.0))
     assert said[0] == "is that of another sweep; name another folder"
     values = "axes: body.m: values is [1000.0, 1200.0, 1400.0, 1600.0] in the folder and"
-    assert f"{values} [1000.0, 1233.3333333333333, 1466.6666666666667, 1700.0] now" in said
+    assert f"{values} [1000.0, 1233.33333333, 1466.66666667, 1700.0] now" in said
     assert "tasks: weigh: stops_at is 0.0 in the folder and 5.0 now" in said
     assert refused(tmp_path, {"body.m": "1000..1600"}, sample="lhs:4")[1:] == [
         "axes: body.m: values is [1000.0, 1200.0, 1400.0, 1600.0] in the folder and [1000.0, 1600.0] now",

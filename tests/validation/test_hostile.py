@@ -6,13 +6,6 @@ from halfshaft.models.vehicle import Vehicle
 from halfshaft.validation.hostile import attempt, attempt_result
 
 
-@pytest.fixture(autouse=True, scope="module")
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HALFSHAFT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.mark.parametrize("first", [0, 100])
 def test_whatever_a_file_holds_it_runs_or_is_refused(first, tmp_path):
     outcomes = {attempt(tmp_path, seed) for seed in range(first, first + 100)}

@@ -18,28 +18,40 @@ class TorqueConverter:
     """Pump at the engine, turbine at the gearbox; torques over the square of the pump's speed by the ratio of speeds."""
 
     def __init__(self, p):
-        self.p, self.C, self.R = p, Look(p.capacity, p.capacity_scale), Look(p.torque_ratio)
+        self.p, C, R = p, Look(p.capacity, p.capacity_scale), Look(p.torque_ratio)
         ratios = p.capacity.points[0].tolist()
         self.curves = {}
-        for name, factors in (("pump", [self.C(n) for n in ratios]), ("turbine", [self.C(n) * self.R(n) for n in ratios])):
+        for name, factors in (("pump", [C(n) for n in ratios]), ("turbine", [C(n) * R(n) for n in ratios])):
             rows = []
             for n, f in zip(ratios, factors, strict=True):
                 # A stalled pump at unit speed has the length 1 on the axis of torques, a turbine at that speed on the axis of speeds.
                 length = math.hypot(n, math.sqrt(abs(f) / factors[0]))
                 rows.append((n / length if f >= 0 else 2 - n / length, 1 / length))
             self.curves[name] = factors[0], *zip(*rows, strict=True)
+        self.ratios, self.R = ratios, [R(n) for n in ratios]
         self.w_out = 0.0
+
+    def place(self, side, T, w):
+        """Return the length of the point (torque of one side, turbine's speed), and where it lies on that side's curve."""
+        length = math.sqrt(w**2 + abs(T) / self.curves[side][0] + 1e-6)
+        return length, w / length if T >= 0 else 2 - w / length
 
     def pump(self, side, T, w):
         """Return the pump's speed at the turbine's speed and the torque of one side."""
-        stall, places, lengths = self.curves[side]
-        length = math.sqrt(w**2 + abs(T) / stall + 1e-6)
-        return length * between(places, lengths, w / length if T >= 0 else 2 - w / length)
+        length, place = self.place(side, T, w)
+        return length * between(*self.curves[side][1:], place)
+
+    def at_pump(self, T, w):
+        """Return the pump's torque at a point of the turbine; beyond the data the ratio of torques stays."""
+        places = self.curves["turbine"][1]
+        return T / between(places, self.R, clip(self.place("turbine", T, w)[1], places[0], places[-1]))
 
     def torques(self, w_pump, w):
-        n = w / max(w_pump, 1.0)
-        T = self.C(n) * w_pump**2
-        return T, T * self.R(n)
+        """Return the torques of pump and turbine at their speeds: the curve backward, on the piece that the ratio of speeds falls in."""
+        stall, _, lengths = self.curves["turbine"]
+        length = w_pump * between(self.ratios, [1 / x for x in lengths], w / max(w_pump, 1.0))
+        T = stall * (length**2 - w**2 - 1e-6) * (1 if w <= max(w_pump, 1.0) else -1)
+        return self.at_pump(T, w), T
 
     def reached(self, T, engine, w, w_idle, dt):
         """Return the speed at the end of a step in which the engine brings this torque, the accessories' taken off, to the pump."""
@@ -49,22 +61,38 @@ class TorqueConverter:
         # Implicit: J (w - own) / dt = slope (end - w).
         return max((engine.J / dt * engine.own + slope * end) / (engine.J / dt + slope), w_idle)
 
+    def brought(self, T, w, engine, w_idle, T_acc, dt):
+        """Return the torque of the turbine, cut to what the engine can bring in a step, and the pump's torque and speed."""
+
+        def misses(w_pump, T_pump):
+            """Return what the engine has too little of (> 0), or must give more than asked (< 0), to come to a speed."""
+            T_e = T_pump + T_acc + engine.J * (w_pump - engine.own) / dt
+            return max(T_e - engine.T_max(w_pump), 0.0) + min(T_e - engine.T_closed(w_pump), 0.0)
+
+        w_p = self.pump("turbine", T, w)
+        if w_idle <= w_p <= engine.w_top and not misses(w_p, self.at_pump(T, w)):
+            return T, self.at_pump(T, w), w_p
+        w_p = clip(w_p, w_idle, engine.w_top)
+        miss = misses(w_p, self.torques(w_p, w)[0])
+        if miss > 0:
+            first = clip(self.pump("pump", engine.T_max(engine.own) - T_acc, w), w_idle, engine.w_top)
+            w_p = min(w_p, self.reached(engine.T_max(first) - T_acc, engine, w, w_idle, dt))
+        elif miss < 0:
+            w_p = max(w_p, self.reached(engine.T_closed(engine.own) - T_acc, engine, w, w_idle, dt))
+        T_p, T = self.torques(w_p, w)
+        return T, T_p, w_p
+
     def required(self, T, w, G, locked, is_open, engine, road, w_idle, T_acc, dt):
         self.locked, self.is_open, self.w = locked, is_open, w
         w_t = self.w_out * road.ratio * G if road.missed and not (locked or is_open) else w  # (10)
         self.w_out = w / G
         self.seen = {"converter.tau_required": T, "converter.omega_required": w}
+        T_p, w_p = T, w
         if is_open:
-            T = 0.0
+            T = T_p = 0.0
         elif not locked:
-            first = clip(self.pump("pump", engine.T_max(engine.own) - T_acc, w_t), w_idle, engine.w_top)
-            most = self.reached(engine.T_max(first) - T_acc, engine, w_t, w_idle, dt)
-            least = self.reached(engine.T_closed(engine.own) - T_acc, engine, w_t, w_idle, dt)
-            T = min(max(T, self.torques(least, w_t)[1]), self.torques(most, w_t)[1])
-        self.T_cut, w_p, T_p = T, w, T
-        if not (locked or is_open):
-            w_p = max(self.pump("turbine", T, w_t), w_idle)
-            T_p = T / self.R(w_t / max(w_p, 1.0))
+            T, T_p, w_p = self.brought(T, w_t, engine, w_idle, T_acc, dt)
+        self.T_cut = T
         self.T_p = T_p
         self.seen["converter.omega_pump"] = w_p
         return T_p, w_p
@@ -91,9 +119,12 @@ class AutomaticShift(Shift):
         w_e = gearbox.w_offered * road.ratio if (road.missed or road.slips) and dt <= 0.11 else w * G
         T_e = T / (eta * G)
         if not self.locked:
-            w_t, most = w_e, max(w_idle, self.converter.pump("pump", self.engine.T_largest, w_e))
-            w_e = clip(self.converter.pump("turbine", T_e, w_t), w_idle, most)
-            T_e = self.converter.torques(w_e, w_t)[0]
+            w_t, w_e = w_e, self.converter.pump("turbine", T_e, w_e)
+            T_e = self.converter.at_pump(T_e, w_t)
+            if T_e > self.engine.T_largest:
+                w_e = min(w_e, self.converter.pump("pump", self.engine.T_largest, w_t))
+            if w_e < w_idle:
+                w_e, T_e = w_idle, self.converter.torques(w_idle, w_t)[0]
         load = self.load(T_e + T_acc, w_e, road)
         gear, self.since = self.gear, self.since + dt
         if self.since - dt >= p.t_hold - 1e-6:

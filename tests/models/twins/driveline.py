@@ -50,8 +50,8 @@ class Gearbox:
     def available(self, T, w):
         self.w_offered = w
         T -= self.T_J
-        # The loss keeps its share of the input torque; where that is no ratio, its size.
-        share = abs(T / self.T_in) if self.T_out * self.T_in > 0 else 1.0
+        # The loss keeps its share of the input torque; where that is no ratio, or more came than was sent for, its size.
+        share = min(abs(T / self.T_in), 1.0) if self.T_out * self.T_in > 0 else 1.0
         return self.G * T - share * (self.G * self.T_in - self.T_out), w / self.G
 
 

@@ -57,8 +57,8 @@ class Generator:
 
 
 class Accessories:
-    def __init__(self, p):
-        self.p = p
+    def __init__(self, p, role="accessories"):
+        self.p, self.role = p, role
 
     def required(self, P, key_on):
         self.P_load, self.P_acc = P, self.p.P_on / self.p.eta if key_on else 0.0
@@ -67,7 +67,7 @@ class Accessories:
     def available(self, P):
         # Served first, but only with what the bus and a braking load offer.
         served = clip(P - min(self.P_load, 0.0), 0.0, self.P_acc)
-        self.seen = {"accessories.P_in": P, "accessories.P_out": P - served}
+        self.seen = {f"{self.role}.P_in": P, f"{self.role}.P_out": P - served}
         return P - served
 
 

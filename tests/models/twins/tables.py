@@ -4,7 +4,9 @@ from bisect import bisect_right
 
 
 def clip(x, lowest, highest):
-    return min(max(x, lowest), highest)
+    # Half the time of min and max; the twins call it some millions of times.
+    x = lowest if x < lowest else x
+    return highest if x > highest else x
 
 
 def ratio(x, y):
@@ -23,12 +25,14 @@ class Look:
         return self.between(self.values, 0, x)
 
     def between(self, values, axis, x):
-        points, at, last = self.points[axis], x[axis], axis + 1 == len(x)
+        points, at, following = self.points[axis], x[axis], axis + 1
         if len(points) == 1:
-            return values[0] if last else self.between(values[0], axis + 1, x)
+            return values[0] if following == len(x) else self.between(values[0], following, x)
         if self.clip:
             at = clip(at, points[0], points[-1])
-        i = clip(bisect_right(points, at) - 1, 0, len(points) - 2)
-        share = (at - points[i]) / (points[i + 1] - points[i])
-        low, high = (values[i], values[i + 1]) if last else (self.between(values[j], axis + 1, x) for j in (i, i + 1))
-        return low + share * (high - low)
+        # The pieces at the ends go on beyond their points.
+        above = bisect_right(points, at, 1, len(points) - 1)
+        left, low, high = points[above - 1], values[above - 1], values[above]
+        if following < len(x):
+            low, high = self.between(low, following, x), self.between(high, following, x)
+        return low + (at - left) / (points[above] - left) * (high - low)
