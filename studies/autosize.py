@@ -37,7 +37,7 @@ from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.conditions import Routine
 from halfshaft.studies.goals import Goal, read_goals
 from halfshaft.studies.search import Least, by_halving, by_root
-from halfshaft.studies.sizes import KINDS, NAMED, TAGS, Bounds, Kind, Size, amount, pinned, power, problems, sizes_of
+from halfshaft.studies.sizes import KINDS, NAMED, TAGS, Bounds, Kind, Size, amount, misfits, pinned, power, problems, sizes_of
 
 if TYPE_CHECKING:
     from halfshaft.cosim.plot import Picture
@@ -273,14 +273,18 @@ class Autosize:
             wrong.append("no goals: name a time, a grade, a speed, or a figure of a task")
         return tuple(goals), wrong + [problem for goal in self.goals for problem in goal.problems()]
 
-    def problems(self, vehicle: Vehicle) -> list[str]:
-        """Return what is wrong with the options for a vehicle."""
-        found = problems(vehicle, self.sizes, self.limits)
-        found += self.all_goals()[1]
+    def problems(self) -> list[str]:
+        """Return what is wrong with the options, whatever the vehicle."""
+        found = problems(self.sizes, self.limits) + self.all_goals()[1]
         if self.preset not in PRESETS:
             found.append(f"preset = {self.preset!r}, must be {' or '.join(PRESETS)}")
         if self.hybridisation is not None and not 0 <= number(self.hybridisation) <= 1:
             found.append(f"hybridisation = {self.hybridisation:g}, must be >= 0 and <= 1")
+        return found
+
+    def misfits(self, vehicle: Vehicle) -> list[str]:
+        """Return what of the options a vehicle does not have."""
+        found = misfits(vehicle, (*self.sizes, *self.limits))
         if self.ratio and not vehicle.tags.all_of("final ratio"):
             found.append(f"ratio: vehicle '{vehicle.name}' has no final drive")
         if self.hybridisation is not None and powertrains()[vehicle.powertrain].hybridisation is None:
@@ -296,7 +300,7 @@ class Autosize:
             If something is not what it must be; all of it is named.
 
         """
-        if wrong := self.problems(vehicle):
+        if wrong := self.problems() + self.misfits(vehicle):
             raise InputError("autosize", wrong)
         return self._geared(vehicle) if self.ratio else self._sized(vehicle, vehicle)
 

@@ -147,20 +147,24 @@ def _modules(vehicle: Vehicle, bounds: Bounds) -> tuple[float, float]:
     return low, max(low, n * math.floor(U_highest / u_max))
 
 
-def problems(vehicle: Vehicle, kinds: tuple[Kind, ...], limits: Mapping[Kind, tuple[float, float]]) -> list[str]:
-    """Return what is wrong with what is to change, and with its limits."""
-    there = [kind for kind in KINDS if vehicle.tags.all_of(TAGS[kind])]
-    have = f"vehicle '{vehicle.name}' has {' and '.join(there) or 'none of them'}"
-    found = [f"size {kind!r}: must be {' or '.join(KINDS)}" for kind in (*kinds, *limits) if kind not in KINDS]
-    found += [f"size {kind}: {have}" for kind in dict.fromkeys((*kinds, *limits)) if kind in KINDS and kind not in there]
-    if not there:
-        found.append(f"vehicle '{vehicle.name}' has no source, store or drive that could change its size")
+def problems(kinds: tuple[Kind, ...], limits: Mapping[Kind, tuple[float, float]]) -> list[str]:
+    """Return what is wrong with what is to change, and with its limits, whatever the vehicle."""
+    found = [f"size {kind!r}: must be {' or '.join(KINDS)}" for kind in dict.fromkeys((*kinds, *limits)) if kind not in KINDS]
     for kind, (low, high) in limits.items():
         if not 0 < number(low) <= number(high) < math.inf:
             found.append(f"limits of {kind} {low:g} to {high:g} {UNITS.get(kind, '')}, must rise from > 0")
         elif kind in KINDS and kinds and kind not in kinds:
             found.append(f"limits of {kind}, which is not to change")
     return found
+
+
+def misfits(vehicle: Vehicle, kinds: tuple[Kind, ...]) -> list[str]:
+    """Return which sizes a vehicle does not have."""
+    there = [kind for kind in KINDS if vehicle.tags.all_of(TAGS[kind])]
+    if not there:
+        return [f"vehicle '{vehicle.name}' has no source, store or drive that could change its size"]
+    missing = [kind for kind in dict.fromkeys(kinds) if kind in KINDS and kind not in there]
+    return [f"size {kind}: vehicle '{vehicle.name}' has {' and '.join(there)}" for kind in missing]
 
 
 def pinned(vehicle: Vehicle) -> Vehicle:

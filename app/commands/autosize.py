@@ -79,8 +79,7 @@ def _autosize(
     given: dict[str, Any] = {"preset": preset, "sizes": tuple(size or ()), "limits": limits, "ratio": ratio}
     given |= {name: _goals(texts) for name, texts in (("accelerations", accel), ("grades", grade)) if texts}
     task = Autosize(top_speed=None if top_speed == NONE else top_speed, hybridisation=hybridisation, **given)
-    if found is not None:
-        checks.problem(*task.problems(found))
+    checks.problem(*task.problems(), *(task.misfits(found) if found is not None else ()))
     car = checks.done(found)
     with busy(f"autosize: {car.name}"):
         sized = task(car)

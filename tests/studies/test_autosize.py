@@ -255,7 +255,6 @@ def test_all_that_is_wrong_is_told_at_once():
         task(CARS["small-car-electric"])
     assert list(error.value.problems) == [
         "size 'engine': must be source or store or drive",
-        "size source: vehicle 'small-car-electric' has store and drive",
         "limits of store -3 to 10 modules, must rise from > 0",
         "limits of drive, which is not to change",
         "acceleration '0-60=12': must be like 0-60mph=12 or 80-120km/h=9.5, in seconds",
@@ -268,6 +267,7 @@ def test_all_that_is_wrong_is_told_at_once():
         "goal x: tolerance = -1, must be >= 0 and finite",
         "preset = '2010', must be exact or 1999",
         "hybridisation = 2, must be >= 0 and <= 1",
+        "size source: vehicle 'small-car-electric' has store and drive",
         "hybridisation: the powertrain electric has no engine that drives the wheels beside a motor",
     ]
 
