@@ -76,11 +76,13 @@ class Powertrain:
     hybridisation: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check the names, and the share."""
         problems = [
             f"{name!r} must be of lower-case words with _ between them" for name in (self.name, *self.roles) if not NAME.fullmatch(name)
         ]
         problems += [f"{d.target} is derived, but there is no role {d.role}" for d in self.derived if d.role not in self.roles]
+        if self.hybridisation is not None and not 0 <= self.hybridisation <= 1:
+            problems.append(f"hybridisation = {self.hybridisation:g}, must be >= 0 and <= 1")
         if problems:
             raise InputError(f"powertrain '{self.name}'", problems)
 

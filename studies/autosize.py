@@ -131,7 +131,7 @@ class Reached:
 
     @property
     def margin(self) -> float:
-        """By how much it is better than the target, over the target."""
+        """By how much it is better than the target, over the larger of the two."""
         return self.goal.margin(self.after)
 
 
@@ -279,7 +279,7 @@ class Autosize:
         if self.preset not in PRESETS:
             found.append(f"preset = {self.preset!r}, must be {' or '.join(PRESETS)}")
         if self.hybridisation is not None and not 0 <= number(self.hybridisation) <= 1:
-            found.append(f"hybridisation = {self.hybridisation:g}, must be >= 0 and <= 1")
+            found.append(f"hybridisation = {self.hybridisation!r}, must be >= 0 and <= 1")
         return found
 
     def misfits(self, vehicle: Vehicle) -> list[str]:
@@ -392,7 +392,7 @@ class _Bench:
 
     def margin(self, state: State, goal: Goal, aim: str = "check") -> float:
         """Return how well a goal is met; at least 0 where that will do."""
-        return goal.margin(self.value(state, goal, aim)) + (goal.slack if self.rules.generous else 0.0)
+        return (goal.relaxed if self.rules.generous else goal).margin(self.value(state, goal, aim))
 
     def does(self, state: State, goals: Sequence[Goal]) -> bool:
         """Return whether sizes will do."""

@@ -61,20 +61,29 @@ class Goal:
     scale: float = 1.0
 
     def margin(self, value: float | None) -> float:
-        """Return by how much a value is better than the target, over the target; what was never reached is the whole target worse."""
+        """Return by how much a value is better than the target, over the larger of the two; -1 for what was never reached."""
         if value is None or not math.isfinite(value):
             return -1.0
-        better = self.target - value if self.sense == "at most" else value - self.target
-        return max(better / abs(self.target or 1.0), -1.0)
+        better = self._better(value)
+        # However bad a time is, a better one must have a larger margin.
+        return max(better / max(abs(self.target), abs(value), 1e-300), -1.0)
+
+    def met(self, value: float | None) -> bool:
+        """Return whether a value is within the tolerance, but for rounding."""
+        return value is not None and math.isfinite(value) and self._better(value) >= -self.tolerance - 1e-9 * abs(self.target)
+
+    def _better(self, value: float) -> float:
+        return self.target - value if self.sense == "at most" else value - self.target
 
     @property
     def slack(self) -> float:
         """The tolerance over the target."""
         return self.tolerance / abs(self.target or 1.0)
 
-    def met(self, value: float | None) -> bool:
-        """Return whether a value is within the tolerance, but for rounding."""
-        return self.margin(value) >= -self.slack - 1e-9
+    @property
+    def relaxed(self) -> Goal:
+        """The goal missed by no more than its tolerance."""
+        return self.giving_way(self.target)
 
     def giving_way(self, value: float) -> Goal:
         """Return the goal to come so near to a value as the tolerance says."""

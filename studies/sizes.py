@@ -150,9 +150,11 @@ def _modules(vehicle: Vehicle, bounds: Bounds) -> tuple[float, float]:
 def problems(kinds: tuple[Kind, ...], limits: Mapping[Kind, tuple[float, float]]) -> list[str]:
     """Return what is wrong with what is to change, and with its limits, whatever the vehicle."""
     found = [f"size {kind!r}: must be {' or '.join(KINDS)}" for kind in dict.fromkeys((*kinds, *limits)) if kind not in KINDS]
-    for kind, (low, high) in limits.items():
-        if not 0 < number(low) <= number(high) < math.inf:
-            found.append(f"limits of {kind} {low:g} to {high:g} {UNITS.get(kind, '')}, must rise from > 0")
+    for kind, ends in limits.items():
+        if not (isinstance(ends, tuple | list) and len(ends) == 2):
+            found.append(f"limits of {kind} = {ends!r}, must be the lowest and the highest")
+        elif not 0 < number(ends[0]) <= number(ends[1]) < math.inf:
+            found.append(f"limits of {kind} = {ends[0]!r} to {ends[1]!r} {UNITS.get(kind, '')}, must rise from > 0")
         elif kind in KINDS and kinds and kind not in kinds:
             found.append(f"limits of {kind}, which is not to change")
     return found
