@@ -3,6 +3,7 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import ideal
 import pytest
 from typer.testing import CliRunner
 
@@ -366,3 +367,15 @@ def test_the_manual_tells_these_sizes(name):
         sizes = [found.after.get(kind, 0.0) / (1 if kind == "store" else 1e3) for kind in ("source", "store", "drive")]
         # Another compiler's rounding may move a size by a step.
         assert [0.0 if x.strip() == "-" else float(x) for x in told] == pytest.approx([*sizes, found.vehicle.mass], rel=0.005)
+
+
+def test_the_power_that_a_car_without_losses_needs_is_known(tmp_path):
+    car, v, time = ideal.car(tmp_path), 60 * MPH, 9.0
+    own = Autosize(sizes=("drive",), accelerations=("0-60mph=9",), grades=(), top_speed=None)(car)
+    # A constant force up to the base speed, a constant power beyond, both in proportion to the size.
+    full = ideal.M * (ideal.V_BASE / ideal.F + (v**2 - ideal.V_BASE**2) / (2 * ideal.P))
+    assert own.vehicle.values["motor.torque_scale"] == pytest.approx(full / time, abs=0.0015)
+    climbing = Autosize(sizes=("drive",), accelerations=(), grades=("6%@90km/h",), top_speed=None)(car)
+    needed = ideal.M * ideal.G * math.sin(math.atan(0.06)) * 25.0 / ideal.P
+    # Sizes are steps of 0.001; the time is that of steps of 0.1 s, and a speed is kept that falls by less than 0.01 mph.
+    assert climbing.vehicle.values["motor.torque_scale"] == pytest.approx(needed, abs=0.0015)
