@@ -308,6 +308,8 @@ def test_speeds_may_be_in_km_h():
     assert goal.task == top.task
     assert goal.task.pairs == ((0, 100), (0, pytest.approx(145)))
     assert top.target == pytest.approx(145 / 3.6)
+    (alone,) = Autosize(accelerations=(), grades=(), top_speed="90mph").all_goals()[0]
+    assert alone.task.pairs == ((0, pytest.approx(90)),)
     assert (goal.wanted, top.wanted) == ("<= 12", ">= 145")
     assert (goal.shown(11.5), top.shown(40.0), top.shown(None)) == ("11.5", "144", "never")
 
