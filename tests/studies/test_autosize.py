@@ -12,10 +12,11 @@ from halfshaft.app.cli import app
 from halfshaft.models.powertrain import powertrains
 from halfshaft.models.vehicle import vehicle_names
 from halfshaft.studies.acceleration import AccelerationTest
-from halfshaft.studies.autosize import Autosize
+from halfshaft.studies.autosize import RULES, Autosize
 from halfshaft.studies.conditions import MPH
 from halfshaft.studies.goals import Goal
 from halfshaft.studies.gradeability import GradeabilityTest
+from halfshaft.studies.sizes import KINDS, sizes_of
 from halfshaft.studies.sweep import sweep
 from halfshaft.studies.task import Found
 
@@ -107,6 +108,8 @@ def test_what_follows_the_engine_keeps_its_proportion():
     car, before = sized("small-car-series").vehicle, CARS["small-car-series"]
     ratio = before.values["generator.torque_scale"] / before.values["engine.torque_scale"]
     assert car.values["generator.torque_scale"] / car.values["engine.torque_scale"] == pytest.approx(ratio, rel=1e-5)
+    changed = ["engine.torque_scale", "battery.n_modules", "motor.torque_scale", "generator.torque_scale"]
+    assert sized("small-car-series").changed == changed
 
 
 def test_the_same_car_is_sized_the_same():
@@ -305,6 +308,31 @@ def test_speeds_may_be_in_km_h():
     assert goal.task == top.task
     assert goal.task.pairs == ((0, 100), (0, pytest.approx(145)))
     assert top.target == pytest.approx(145 / 3.6)
+    (alone,) = Autosize(accelerations=(), grades=(), top_speed="90mph").all_goals()[0]
+    assert alone.task.pairs == ((0, pytest.approx(90)),)
+    assert (goal.wanted, top.wanted) == ("<= 12", ">= 145")
+    assert (goal.shown(11.5), top.shown(40.0), top.shown(None)) == ("11.5", "144", "never")
+
+
+@pytest.mark.parametrize(
+    ("preset", "limits", "wanted"),
+    [
+        # 41.007 and 137.110 kW at a factor of 1; modules of 9.5 to 16.5 V, and 120 V that the motor needs.
+        ("exact", {}, {"source": (122, 10000), "store": (13, 60), "drive": (37, 10000)}),
+        ("1999", {}, {"source": (976, 4000), "store": (13, 36), "drive": (110, 5000)}),
+        ("exact", {"source": (30e3, 50e3), "store": (1, 20)}, {"source": (732, 1219), "store": (1, 20), "drive": (37, 10000)}),
+    ],
+)
+def test_sizes_lie_between_limits(preset, limits, wanted):
+    sizes = sizes_of(CARS["small-car-series"], KINDS, RULES[preset].bounds, limits)
+    assert {kind: (size.low, size.high) for kind, size in sizes.items()} == wanted
+
+
+def test_cells_and_modules_are_whole():
+    car = Vehicle.load("small-car-fuel-cell-polarisation")
+    size = sizes_of(car, KINDS, RULES["exact"].bounds, {})["source"]
+    assert size.high == 10 * car.values["fuel_cell.n_cells"]
+    assert size.values(100) == {"fuel_cell.n_cells": 100.0}
 
 
 def test_a_margin_grows_with_what_is_reached():
