@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -28,6 +28,7 @@ from halfshaft.library.base.parameters import Parameters, Spec, spec_of
 from halfshaft.library.base.ports import Port
 from halfshaft.library.base.tables import Table
 from halfshaft.library.files.catalog import component_kinds
+from halfshaft.studies.autosize import Autosize
 
 PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -46,7 +47,16 @@ def overlaid() -> tuple[Figure, str]:
     return plot_run(*results, panels=("speed", "motor.P_in", "battery.T")), "The electric car on US06 with two masses"
 
 
-PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {"one-run": one_run, "overlaid": overlaid}
+def sized(name: str) -> tuple[Figure, str]:
+    """Return how a car was sized."""
+    return Autosize()(Vehicle.load(name)).plot(), f"Sizes of {name}, trial by trial, and by how much each goal is met"
+
+
+PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
+    "one-run": one_run,
+    "overlaid": overlaid,
+    **{f"sized-{kind}": partial(sized, f"small-car-{kind}") for kind in ("series", "parallel", "conventional", "electric")},
+}
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

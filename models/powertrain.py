@@ -57,6 +57,10 @@ class Derived:
 class Powertrain:
     """A powertrain: ``roles`` lists from the wheel to the source what kinds, or families of kinds, may fill each role.
 
+    ``hybridisation`` is for powertrains whose engine reaches the wheels beside a motor.  A sizing may then share between the two what
+    the engine needs more for full acceleration than for a grade: 0 leaves it all to the engine, 1 to motor and store.  Without it
+    the motor drives with the power of both engine and store, and the engine is sized for the grade.
+
     Raises
     ------
     InputError
@@ -69,13 +73,16 @@ class Powertrain:
     roles: Mapping[str, tuple[str, ...]]
     connect: Callable[[Model], None]
     derived: tuple[Derived, ...] = ()
+    hybridisation: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check the names, and the share."""
         problems = [
             f"{name!r} must be of lower-case words with _ between them" for name in (self.name, *self.roles) if not NAME.fullmatch(name)
         ]
         problems += [f"{d.target} is derived, but there is no role {d.role}" for d in self.derived if d.role not in self.roles]
+        if self.hybridisation is not None and not 0 <= self.hybridisation <= 1:
+            problems.append(f"hybridisation = {self.hybridisation:g}, must be >= 0 and <= 1")
         if problems:
             raise InputError(f"powertrain '{self.name}'", problems)
 

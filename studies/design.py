@@ -119,8 +119,8 @@ class Sample:
         elif kind in ("sobol", "saltelli") and count & (count - 1):
             below = 1 << (count.bit_length() - 1)
             problems.append(f"has {count} points, must have a power of 2, such as {below} or {2 * below}")
-        if seed < 0:
-            problems.append(f"has seed {seed}, must be >= 0")
+        if not (isinstance(seed, int) and seed >= 0):
+            problems.append(f"has seed {seed!r}, must be a whole number >= 0")
         if problems:
             raise InputError(f"sample {text}", problems)
         return cls(kind, count, seed)  # type: ignore[arg-type]

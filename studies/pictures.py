@@ -78,6 +78,7 @@ def plot_sweep(
         If a response is not there, the kind does not fit the sweep, or the file cannot be written.
 
     """
+    responses, constraints = ((given,) if isinstance(given, str) else given for given in (responses, constraints))
     problems = [f"{path}: {problem}" for problem in plot_problems(Path(path))] if path is not None else []
     chosen = kind or _fitting(found)
     problems += kind_problems(chosen, len(_numbers(found)), "point" in found.dims)

@@ -124,11 +124,11 @@ class Procedure:
             what = f"vehicle '{vehicle.name}' is {' and '.join(sorted(kinds))}, and no test is for such: they are for {', '.join(wanted)}"
             raise InputError(f"procedure '{self.name}'", [what])
         consumptions = {name: tested.consumption for name, tested in tests.items()}
-        for name, utility in self.plan.utility.items():
-            if utility.sustaining in tests:
-                depleting, kept = tests.get(utility.depleting), tests[utility.sustaining].consumption
+        for name, weighted in self.plan.weighted.items():
+            if self.plan.utility and weighted.sustaining in tests:
+                depleting, kept = tests.get(weighted.depleting), tests[weighted.sustaining].consumption
                 rounds = depleting.rounds if depleting else ()
-                parts = np.diff(utility(np.array([0.0, *(distance for distance, _ in rounds)])))
+                parts = np.diff(self.plan.utility(np.array([0.0, *(distance for distance, _ in rounds)])))
                 consumptions[name] = kept * (1 - float(parts.sum()))
                 for part, (_, consumption) in zip(parts, rounds, strict=True):
                     consumptions[name] += consumption * float(part)
@@ -212,7 +212,7 @@ def kinds_of(vehicle: Vehicle) -> set[Kind]:
 
 def _may_be(plan: Plan, figure: str) -> bool:
     """Return whether a figure belongs to a test or a combination that this vehicle does not have."""
-    return any(figure.startswith(f"{name}_") for name in (*(t.name for t in plan.tests), *plan.combined, *plan.utility))
+    return any(figure.startswith(f"{name}_") for name in (*(t.name for t in plan.tests), *plan.combined, *plan.weighted))
 
 
 def joined(test: Test, rounds: int) -> tuple[Cycle, list[Span]]:

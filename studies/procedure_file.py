@@ -17,8 +17,8 @@ A file holds ``schema``, ``kind = "procedure"``, ``name``, ``title``, ``source``
 A bag's ``weight`` is 1, or 0 for a warm-up: the change of the charge counts from the first bag that counts.  With
 ``repeat = {until, at_least, at_most, pause}`` a test is driven again and again, ``until`` the ``engine`` has run (SAE J1711), the charge
 is ``sustaining`` (WLTP), or the battery ``empty``.  ``combined.<name>`` gives the share of each test by its name, of those that were
-driven; ``utility.<name>`` weights a test that depletes the battery with one that keeps its charge by the share of driving that lies
-within a distance.  ``grid.efficiency`` is what the battery gives over what was drawn to charge it, and ``report`` the figures to show
+driven; ``weighted.<name>`` weights a ``depleting`` test with a ``sustaining`` one by ``utility``, the ``share`` of driving that lies
+within a ``distance``.  ``grid.efficiency`` is what the battery gives over what was drawn to charge it, and ``report`` the figures to show
 first.
 """
 
@@ -88,16 +88,22 @@ class Test:
 
 @dataclass(frozen=True)
 class Utility:
-    """Share of driving within a distance [m]; which tests deplete the battery and keep its charge."""
+    """Share of driving that lies within a distance [m]."""
 
-    depleting: str
-    sustaining: str
     distance: tuple[float, ...]
     share: tuple[float, ...]
 
     def __call__(self, distance: Array) -> Array:
         """Return the share of driving within distances."""
         return np.interp(distance, self.distance, self.share)
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """A test that depletes the battery and one that keeps its charge, weighted by the utility factor."""
+
+    depleting: str
+    sustaining: str
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,8 @@ class Plan:
     source: str
     tests: tuple[Test, ...]
     combined: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    utility: Mapping[str, Utility] = field(default_factory=dict)
+    weighted: Mapping[str, Weighted] = field(default_factory=dict)
+    utility: Utility | None = None
     report: tuple[str, ...] = ()
     grid_efficiency: float = 1.0
 
@@ -160,27 +167,27 @@ class _Reader(Reader):
 
     def plan(self) -> Plan:
         """Return what the file says."""
-        data = self.toml(
-            str(self.path),
-            read_text(self.path, LARGEST),
-            ["procedure"],
-            {"tests": dict, "combined": dict, "utility": dict, "report": list, "grid": dict},
-        )
+        extra = {"tests": dict, "combined": dict, "weighted": dict, "utility": dict, "report": list, "grid": dict}
+        data = self.toml(str(self.path), read_text(self.path, LARGEST), ["procedure"], extra)
         self.required(data, ("source", "tests"), "")
-        tests = [self.test(name, x, f"tests.{name}.") for name, x in data.get("tests", {}).items()]
+        given, weights = data.get("tests", {}), data.get("weighted", {})
+        tests = [self.test(name, x, f"tests.{name}.") for name, x in given.items()]
         if "tests" in data and not tests:
             self.problems.append("tests is empty")
-        utility = {name: self.utility(x, data.get("tests", {}), f"utility.{name}.") for name, x in data.get("utility", {}).items()}
-        known = [*data.get("tests", {}), *utility]
-        combined = {name: self.shares(x, known, f"combined.{name}.") for name, x in data.get("combined", {}).items()}
-        names = [*data.get("tests", {}), *utility, *combined]
+        utility = self.utility(data["utility"], "utility.") if "utility" in data else None
+        if weights and "utility" not in data:
+            self.problems.append("weighted needs a utility, the share of driving within a distance")
+        weighted = {name: self.weighted(x, given, f"weighted.{name}.") for name, x in weights.items()}
+        combined = {name: self.shares(x, [*given, *weighted], f"combined.{name}.") for name, x in data.get("combined", {}).items()}
+        names = [*given, *weighted, *combined]
         self.problems.extend(f"{name} is the name of {names.count(name)} things" for name in dict.fromkeys(names) if names.count(name) > 1)
         grid = self.section(data.get("grid", {}), ("efficiency",), "grid.")
         efficiency = self.number(grid.get("efficiency", 1.0), EFFICIENCY, "grid.efficiency")
         report = tuple(x for x in data.get("report", ()) if self.text(x, "report"))
         self.finish(str(self.path))
         head = (data["name"], data["title"], data["source"])
-        return Plan(*head, tuple(t for t in tests if t), combined, {n: u for n, u in utility.items() if u}, report, efficiency)
+        sound = {name: x for name, x in weighted.items() if x}
+        return Plan(*head, tuple(t for t in tests if t), combined, sound, utility, report, efficiency)
 
     def section(self, data: Any, known: tuple[str, ...], where: str) -> dict[str, Any]:
         """Return a table of known keys."""
@@ -295,18 +302,25 @@ class _Reader(Reader):
             self.problems.append(f"{where.removesuffix('.')} has no share above 0")
         return shares
 
-    def utility(self, given: Any, tests: Mapping[str, Any], where: str) -> Utility | None:
+    def weighted(self, given: Any, tests: Mapping[str, Any], where: str) -> Weighted | None:
+        """Return which two tests are weighted by the utility factor."""
+        names = ("depleting", "sustaining")
+        data = self.section(given, names, where)
+        self.required(data, names, where)
+        if not all(n in data and self.one_of(data[n], tuple(tests), where + n) for n in names):
+            return None
+        repeated = tests[data["depleting"]]
+        if isinstance(repeated, dict) and "repeat" not in repeated:
+            self.problems.append(f"{where}depleting = {shown(data['depleting'])}: that test is not repeated")
+        return Weighted(data["depleting"], data["sustaining"])
+
+    def utility(self, given: Any, where: str) -> Utility | None:
         """Return a utility factor."""
-        names = ("depleting", "sustaining", "distance", "share")
+        names = ("distance", "share")
         data = self.section(given, names, where)
         self.required(data, names, where)
         if any(n not in data for n in names):
             return None
-        for n in ("depleting", "sustaining"):
-            self.one_of(data[n], tuple(tests), where + n)
-        repeated = tests.get(str(data["depleting"]))
-        if isinstance(repeated, dict) and "repeat" not in repeated:
-            self.problems.append(f"{where}depleting = {shown(data['depleting'])}: that test is not repeated")
         before = len(self.problems)
         distance = self.array(data["distance"], METRES, f"{where}distance", [("distance", None)])
         share = self.array(data["share"], SHARE, f"{where}share", [("distance", None if distance is None else len(distance))])
@@ -315,4 +329,4 @@ class _Reader(Reader):
         for name, row in (("distance", distance), ("share", share)):
             if np.any(np.diff(row) < 0) or (name == "distance" and np.any(np.diff(row) == 0)):
                 self.problems.append(f"{where}{name} must rise")
-        return Utility(data["depleting"], data["sustaining"], tuple(distance.tolist()), tuple(share.tolist()))
+        return Utility(tuple(distance.tolist()), tuple(share.tolist()))

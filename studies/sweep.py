@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -104,6 +105,7 @@ def sweep(
     """
     job, design = _planned(vehicle, axes, tasks, sample, seed, workers, scheduler)
     points = design.points
+    responses = (responses,) if isinstance(responses, str) else responses
     with kept(manifest(job.vehicles, design, job.tasks), folder, len(points)) as keeper:
         _carry_out(job, points, keeper, responses, workers, scheduler, progress)
         whole = dataset(design, keeper.found, keeper.manifest)
@@ -144,8 +146,8 @@ def _planned(
         raise InputError("sweep", problems)
     if workers is not None and scheduler is not None:
         problems.append("takes workers on this machine or the scheduler of a cluster, not both")
-    if workers is not None and not 1 <= workers <= MOST_WORKERS:
-        problems.append(f"workers = {workers}, must be from 1 to {MOST_WORKERS}")
+    if workers is not None and not (isinstance(workers, int) and 1 <= workers <= MOST_WORKERS):
+        problems.append(f"workers = {workers!r}, must be a whole number from 1 to {MOST_WORKERS}")
     design = design_of(vehicles, axes, drawn, problems)
     if problems:
         raise InputError("sweep", problems)
@@ -169,7 +171,7 @@ def _carry_out(
         progress(len(keeper.found), len(points))
 
     progress(len(keeper.found), len(points))
-    with cluster(scheduler) if scheduler else nullcontext() as remote:
+    with nullcontext() if scheduler is None else cluster(scheduler) as remote:
         _probe(job, points, keeper, responses, add)
         # Those of one structure together: its code is loaded once, and each worker meets few of them.
         left = sorted((i for i in range(len(points)) if i not in keeper.found), key=lambda i: job.structure(points[i]))
@@ -228,6 +230,9 @@ def _loss_said() -> Iterator[None]:
     """Say that a worker was lost; what a lost process or cluster raises has no common base."""
     try:
         yield
+    except BrokenProcessPool as error:
+        text = "a process was lost: killed, out of memory, or started by a script that calls sweep above if __name__ == '__main__'"
+        raise HalfshaftError(f"sweep: {text}; with a folder, the same call goes on from what was finished") from error
     except Exception as error:
         text = f"a worker was lost ({type(error).__name__}: {error}); with a folder, the same call goes on from what was finished"
         raise HalfshaftError(f"sweep: {text}") from error

@@ -44,7 +44,7 @@ class Driven(NamedTuple):
         return cls(*(x[first : last + 1] for x in (t, v, target)))
 
 
-def advisor_figures(driven: Driven) -> dict[str, float]:
+def miss_figures(driven: Driven) -> dict[str, float]:
     """Return the five numbers of ADVISOR; each point weighs half of the steps beside it.
 
     They are the mean miss and the largest one, the share of time in which it is above 2 mph, and the largest miss over the largest speed
@@ -110,4 +110,4 @@ def trace_figures(result: Result, steps: slice = slice(None)) -> dict[str, float
     """Return all numbers of some steps of a run with its history."""
     driven = Driven.of(result, steps)
     mass = result.inputs.parameters[result.tags.the("vehicle mass")]
-    return {**advisor_figures(driven), **j2951_figures(driven, mass, road_load(result))}
+    return {**miss_figures(driven), **j2951_figures(driven, mass, road_load(result))}

@@ -40,7 +40,7 @@ def anchor(heading):
     return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.strip().lower()))
 
 
-@pytest.mark.parametrize(("name", "least"), [("tutorial", 11), ("cycles", 3), ("compare", 3), ("sweeps", 5)])
+@pytest.mark.parametrize(("name", "least"), [("tutorial", 11), ("cycles", 3), ("compare", 3), ("sweeps", 5), ("autosize", 5)])
 def test_page_runs_from_top_to_bottom(name, least, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = DOCS / f"{name}.md"
@@ -144,7 +144,8 @@ def test_the_manual_has_formulas_pictures_and_the_reference(site):
     for page in site.rglob("*.html"):
         for picture in re.findall(r'<img[^>]* src="([^"]+\.png)"', page.read_text(encoding="utf-8")):
             assert (page.parent / picture).exists(), picture
-    assert len(list(site.glob("pictures/*.png"))) == 2
+    named = {name for page in DOCS.glob("*.md") for name in re.findall(r"<!-- picture: (\S+) -->", page.read_text(encoding="utf-8"))}
+    assert {picture.stem for picture in site.glob("pictures/*.png")} == named != set()
     reference = (site / "reference.html").read_text(encoding="utf-8")
     assert 'id="halfshaft.cosim.simulate.run"' in reference
     assert "Length of the step" in reference

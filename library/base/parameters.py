@@ -167,6 +167,11 @@ class Parameters:
         size = math.prod(getattr(self, name, 1.0) for name in ("torque_scale", "speed_scale", "power_scale"))
         return plain(getattr(self, "mass", 0.0) * size)
 
+    @property
+    def P_own(self) -> float:
+        """Largest power that the part brings into the vehicle [W]: of an engine, a fuel cell, a store; 0 for all else."""
+        return 0.0
+
     def rescaled(self, typed: Mapping[str, float]) -> Parameters:
         """Return the set with the ratings that were typed."""
         factors = {r.scale: getattr(self, r.scale) * typed[r.name] / r.of(self) for r in self.rated if r.name in typed}

@@ -36,6 +36,7 @@ Tag: TypeAlias = Literal[
     # Of gears.
     "gear",
     "gear ratios",
+    "final ratio",
     "start gear",
     "shift time",
     "hold time",
@@ -64,6 +65,14 @@ Tag: TypeAlias = Literal[
     "depletes",  # whether a control uses the charge up first
     "start temperature",
     "temperature",
+    "lowest supply voltage",
+    "lowest module voltage",
+    "highest module voltage",
+    # Of what a sizing changes: factors, and numbers of modules and cells.
+    "source size",  # of an engine or a fuel cell
+    "follows source",  # grows in proportion with it
+    "store size",
+    "drive size",
     # Flags whose warning is looked into.
     "grip limit",
     "store limit",

@@ -22,7 +22,7 @@ from halfshaft.library.base.ports import Port, Shaft
 class FinalDriveParameters(Parameters):
     """Ratio and losses of a final drive."""
 
-    i: float = param("1", "ratio of input speed to output speed", ge=0.01, le=100)
+    i: float = param("1", "ratio of input speed to output speed", ge=0.01, le=100, tag="final ratio")
     tau_loss: float = param("N.m", "drag torque at the input", 0.0, ge=0, le=1e4)
     J: float = param("kg.m^2", "inertia at the input", 0.0, ge=0, le=100)
 

@@ -82,7 +82,9 @@ class TorqueConverterParameters(Parameters):
 
     capacity: Table = table("N.m.s^2/rad^2", "pump's torque over the square of its speed", RATIO, clip=False)
     torque_ratio: Table = table("1", "turbine's torque over pump's torque", RATIO, clip=True, gt=0, le=10)
-    capacity_scale: float = param("1", "factor on the capacity, as the fifth power of the diameter", 1.0, ge=1e-3, le=1e3)
+    capacity_scale: float = param(
+        "1", "factor on the capacity, as the fifth power of the diameter", 1.0, ge=1e-3, le=1e3, tag="follows source"
+    )
 
     def check(self) -> list[str]:
         """Return what is wrong: a pump's speed must follow from every torque."""

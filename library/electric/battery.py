@@ -40,6 +40,12 @@ class BatteryParameters(StoreParameters):
         """Return the energy of the full pack [J]."""
         return {"energy": pack_energy(self)}
 
+    @property
+    def module(self) -> tuple[Any, Any]:
+        """Voltage [V] and resistance [ohm] of a module that is discharged at the start temperature, at the charges of the map."""
+        at = [(self.T_start, float(soc)) for soc in self.u_oc.points[1]]
+        return np.array([self.u_oc(*x) for x in at]), np.array([self.r_discharge(*x) for x in at])
+
 
 def pack_energy(p: BatteryParameters) -> float:
     """Return what a full pack stores at its start temperature, by its open-circuit voltage down to empty [J]."""

@@ -102,7 +102,7 @@ class NetPowerParameters(FuelCellParameters):
     """Map and scales of a fuel cell system."""
 
     fuel: Table = table("kg/s", "fuel flow", Axis("P", "W"), clip=True, ge=0)
-    P_scale: float = param("1", "factor on all powers", 1.0, ge=0.01, le=100)
+    P_scale: float = param("1", "factor on all powers", 1.0, ge=0.01, le=100, tag="source size")
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
 
     rated: ClassVar[tuple[Rated, ...]] = (
@@ -115,6 +115,11 @@ class NetPowerParameters(FuelCellParameters):
     def weight(self) -> float:
         """Mass of the system [kg]."""
         return self.mass * self.P_scale
+
+    @property
+    def P_own(self) -> float:
+        """Largest net power [W]."""
+        return self.P_scale * self.fuel.inside(0)[1]
 
 
 def best_efficiency(p: NetPowerParameters) -> float:
@@ -182,9 +187,16 @@ class PolarisationParameters(FuelCellParameters):
     U_cell: Table = table("V", "voltage of a cell", CURRENT, clip=True, gt=0)
     fuel: Table = table("kg/(s.m^2)", "fuel that reacts in a cell, by its area", CURRENT, clip=True, ge=0)
     P_aux: Table = table("W", "power of compressor and pumps", Axis("fuel", "kg/s"), clip=True, ge=0)
-    n_cells: float = param("1", "number of cells in all", ge=1, le=1e6)
+    n_cells: float = param("1", "number of cells in all", ge=1, le=1e6, tag="source size")
     A_cell: float = param("m^2", "area of a cell", ge=1e-6, le=100)
     utilisation: float = param("1", "share of the fuel that reacts", 1.0, ge=0.01, le=1)
+
+    @property
+    def P_own(self) -> float:
+        """Net power at the end of the polarisation curve [W]."""
+        i = self.U_cell.inside(0)[1]
+        area = self.n_cells * self.A_cell
+        return float(area * i * self.U_cell(i) - self.P_aux(area / self.utilisation * self.fuel(i)))
 
     relations = (
         Relation(_falls, "U_cell falls so fast that the power of a cell falls with it; end the table at the largest power"),

@@ -38,7 +38,7 @@ class GeneratorParameters(Parameters):
     overtorque: float = param("1", "short-time torque over continuous torque", 1.0, ge=0.01, le=100)
     I_max: float = param("A", "current limit of the controller", ge=0.1, le=1e9)
     speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100)
-    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
+    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100, tag="follows source")
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
     rated: ClassVar[tuple[Rated, ...]] = (

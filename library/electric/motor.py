@@ -50,9 +50,9 @@ class MotorParameters(Parameters):
     J: float = param("kg.m^2", "rotor inertia", ge=0, le=100)
     overtorque: float = param("1", "short-time torque over continuous torque", 1.0, ge=0.01, le=100)
     I_max: float = param("A", "current limit of the controller", ge=0.1, le=1e9)
-    U_min: float = param("V", "lowest supply voltage", 0.0, ge=0, le=1e4)
+    U_min: float = param("V", "lowest supply voltage", 0.0, ge=0, le=1e4, tag="lowest supply voltage")
     speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100, tag="speed scale")
-    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
+    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100, tag="drive size")
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 

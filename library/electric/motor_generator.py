@@ -16,6 +16,7 @@ import casadi as ca
 from halfshaft.library.base.component import From, Variable, plant
 from halfshaft.library.base.expressions import Turning, where
 from halfshaft.library.base.links import Link, continuous
+from halfshaft.library.base.parameters import param
 from halfshaft.library.base.ports import Electric, Expr, Port, Shaft
 from halfshaft.library.electric.motor import Motor, MotorParameters
 
@@ -35,6 +36,8 @@ def back(asked: Shaft, sent: Shaft, offered: Shaft) -> Shaft:
 @dataclass(frozen=True, kw_only=True)
 class MotorGeneratorParameters(MotorParameters):
     """Maps, limits and scales of a machine that turns forward; backward they are mirrored."""
+
+    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100, tag="follows source")
 
     def ratings(self) -> Mapping[str, float]:
         """Return nothing: it is not there to drive the vehicle."""

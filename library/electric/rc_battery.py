@@ -59,6 +59,13 @@ class RCBatteryParameters(StoreParameters):
         C = each(self.C_bulk, self.T_start) + each(self.C_surface, self.T_start)
         return {"energy": plain(self.n_modules * self.capacity_scale * C * (full**2 - empty**2) / 2)}
 
+    @property
+    def module(self) -> tuple[Any, Any]:
+        """Voltage [V] and resistance [ohm] of a module at rest at the start temperature, at the charges of the map."""
+        at = [(self.T_start, float(soc)) for soc in self.u_oc.points[1]]
+        u, r_e, r_c, r_t = (np.array([f(*x) for x in at]) for f in (self.u_oc, self.r_bulk, self.r_surface, self.r_terminal))
+        return u, r_t + r_c * r_e / (r_e + r_c)
+
 
 class Flows(NamedTuple):
     """Currents of the capacitors and loss of a module, as if its capacity were not scaled."""

@@ -21,6 +21,7 @@ from functools import reduce
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from halfshaft.library.base.component import Component, From, Signal, State, Variable, face, plant
 from halfshaft.library.base.expressions import clip, where
@@ -44,9 +45,9 @@ C_AIR = 1009.0
 class StoreParameters(Parameters):
     """A pack of equal modules in series."""
 
-    n_modules: float = param("1", "number of modules in series", ge=1, le=1e4)
-    u_min: float = param("V", "lowest voltage of a module", ge=0, le=1e4)
-    u_max: float = param("V", "highest voltage of a module", ge=0.1, le=1e4)
+    n_modules: float = param("1", "number of modules in series", ge=1, le=1e4, tag="store size")
+    u_min: float = param("V", "lowest voltage of a module", ge=0, le=1e4, tag="lowest module voltage")
+    u_max: float = param("V", "highest voltage of a module", ge=0.1, le=1e4, tag="highest module voltage")
     capacity_scale: float = param("1", "factor on the capacity", 1.0, ge=1e-3, le=1e3)
     soc_start: float = param("1", "state of charge at the start", 0.7, ge=0, le=1, tag="start charge")
     soc_empty: float = param("1", "state of charge up to which nothing is drawn", SOC_EMPTY, ge=0, le=0.999, tag="empty charge")
@@ -70,6 +71,18 @@ class StoreParameters(Parameters):
     def weight(self) -> float:
         """Mass of the pack [kg]."""
         return self.n_modules * self.mass * self.capacity_scale
+
+    @property
+    def P_own(self) -> float:
+        """Largest power that the pack gives at its start temperature, at whatever charge it gives most [W]."""
+        u, r = self.module
+        u_low = np.maximum(u / 2, self.u_min)
+        return float(self.n_modules * self.capacity_scale * np.max(u_low * (u - u_low) / r))
+
+    @property
+    def module(self) -> tuple[Any, Any]:
+        """Voltage [V] and resistance [ohm] of a module that is discharged at the start temperature, at some charges."""
+        raise NotImplementedError
 
 
 class Circuit(NamedTuple):

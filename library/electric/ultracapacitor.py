@@ -39,6 +39,11 @@ class UltracapacitorParameters(StoreParameters):
         """Return the energy of the full pack at its start temperature [J]."""
         return {"energy": plain(self.n_modules * self.capacity_scale * each(self.C, self.T_start) * self.u_max**2 / 2)}
 
+    @property
+    def module(self) -> tuple[Any, Any]:
+        """Voltage [V] and resistance [ohm] of a full module at the start temperature."""
+        return self.u_max, self.r_discharge(self.T_start)
+
 
 @dataclass(frozen=True)
 class Ultracapacitor(Store):

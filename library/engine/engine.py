@@ -61,7 +61,7 @@ class EngineParameters(Parameters):
     rho_fuel: float = param("kg/m^3", "density of the fuel", ge=0.01, le=1e4, tag="fuel density")
     H_fuel: float = param("J/kg", "lower heating value of the fuel", ge=1e5, le=1e9, tag="fuel heating value")
     speed_scale: float = param("1", "factor on all speeds", 1.0, ge=0.01, le=100)
-    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100)
+    torque_scale: float = param("1", "factor on all torques", 1.0, ge=0.01, le=100, tag="source size")
     efficiency_scale: float = param("1", "factor on the efficiency", 1.0, ge=0.01, le=100)
     mass: float = param("kg", "mass", 0.0, ge=0, le=1e5)
 
@@ -70,6 +70,11 @@ class EngineParameters(Parameters):
         Rated("e_max", "1", "best efficiency", "efficiency_scale", lambda p: best_efficiency(p)),
     )
     relations = (Relation(lambda p: lifted(p.efficiency_scale, p.fuel, lambda work, fuel: [(work, fuel)], p.H_fuel), LIFTED),)
+
+    @property
+    def P_own(self) -> float:
+        """Largest power of the envelope's points [W]."""
+        return peak_power(self)
 
 
 def peak_power(p: EngineParameters) -> float:

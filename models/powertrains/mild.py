@@ -18,4 +18,4 @@ def connect(m: Model) -> None:
     m.bind("motor", wheel=None, shift=None)
 
 
-mild = Powertrain("mild", "mild hybrid", ROLES, connect, (Derived("body.m", (SumOfParts,)),))
+mild = Powertrain("mild", "mild hybrid", ROLES, connect, (Derived("body.m", (SumOfParts,)),), hybridisation=0.0)

@@ -31,5 +31,6 @@ def connect(m: Model) -> None:
 
 
 parallel = Powertrain(
-    "parallel", "parallel hybrid", ROLES, connect, (Derived("body.m", (SumOfParts,)), Derived("coupler.n", (TogetherAtTop,)))
-)
+    "parallel", "parallel hybrid", ROLES, connect, (Derived("body.m", (SumOfParts,)), Derived("coupler.n", (TogetherAtTop,))),
+    hybridisation=0.3,
+)  # fmt: skip

@@ -18,4 +18,5 @@ def connect(m: Model) -> None:
 parallel_post = Powertrain(
     "parallel_post", "parallel hybrid, motor behind the gearbox", parallel.ROLES, connect,
     (Derived("body.m", (SumOfParts,)), Derived("coupler.n", (CouplerTopSpeed,))),
+    hybridisation=0.3,
 )  # fmt: skip

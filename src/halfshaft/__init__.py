@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from halfshaft.library.files.component_file import component_names
     from halfshaft.models.vehicle import Vehicle, vehicle_names
     from halfshaft.studies.acceleration import accelerate
+    from halfshaft.studies.batch import run_batch
+    from halfshaft.studies.compare import compare
     from halfshaft.studies.pictures import plot_sweep
     from halfshaft.studies.sweep import sweep
 
@@ -26,11 +28,13 @@ __all__ = [
     "__version__",
     "accelerate",
     "build_fmu",
+    "compare",
     "component_names",
     "cycle_names",
     "plot_run",
     "plot_sweep",
     "run",
+    "run_batch",
     "sweep",
     "vehicle_names",
 ]
@@ -44,11 +48,13 @@ _HOMES = {
     "Vehicle": "models.vehicle",
     "accelerate": "studies.acceleration",
     "build_fmu": "cosim.fmu",
+    "compare": "studies.compare",
     "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",
     "plot_run": "cosim.plot",
     "plot_sweep": "studies.pictures",
     "run": "cosim.simulate",
+    "run_batch": "studies.batch",
     "sweep": "studies.sweep",
     "vehicle_names": "models.vehicle",
 }

@@ -408,3 +408,9 @@ def test_text_of_a_user_is_escaped_in_a_notebook():
     named = replace(result, inputs=replace(result.inputs, vehicle="<script>"))
     assert "&lt;script&gt;" in named._repr_html_()
     assert "<script>" not in named._repr_html_()
+
+
+def test_a_car_without_a_battery_has_none_in_its_account():
+    a = done(CONVENTIONAL).account
+    assert (a.battery, done(ELECTRIC).account.fuel) == (0.0, 0.0)
+    assert a.fuel > 0

@@ -32,6 +32,13 @@ def test_every_part_obeys_its_laws_and_no_loss_is_negative(vehicle, cycle, mode)
     assert run(vehicle_of(vehicle), cycle_of(cycle), mode=mode).audit.failures == ()
 
 
+@pytest.mark.parametrize("store", ["uc-2900f", "nimh-7ah-rc", "pb-25ah"])
+def test_every_kind_of_store_obeys_its_laws_when_charged_too(store):
+    result = run(vehicle_of(ELECTRIC).with_parts({"battery": store}), cycle_of("us06"))
+    assert result["battery.I"].min() < -10
+    assert result.audit.failures == ()
+
+
 @pytest.mark.parametrize("vehicle", vehicle_names())
 def test_a_refined_run_moves_next_to_no_loss(vehicle):
     # Refined, a step is solved where a limit acts, so the second assumption has nothing left to assume.

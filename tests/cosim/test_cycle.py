@@ -332,6 +332,25 @@ def test_smoothing_keeps_rests_and_straight_lines():
             cycle.smoothed(width)
 
 
+#: What the units of columns are in SI, by hand.
+UNITS = {
+    "time": {"s": 1, "sec": 1, "secs": 1, "second": 1, "seconds": 1, "ms": 0.001, "min": 60, "h": 3600},
+    "speed": {
+        "mps": 1, "m_per_s": 1, "meters_per_second": 1, "kmh": 0.2777778, "kph": 0.2777778, "kmph": 0.2777778, "mph": 0.44704,
+        "kn": 0.5144444, "knots": 0.5144444,
+    },
+    "grade": {"1": 1, "percent": 0.01, "pct": 0.01, "%": 0.01},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("column", "unit", "factor"), [(c, unit, x) for c, units in UNITS.items() for unit, x in units.items()])
+def test_every_unit_of_a_column_is_known(tmp_path, column, unit, factor):
+    titles = {"time": "s", "speed": "mps", "grade": "1"} | {column: unit}
+    text = ",".join(f"{c} [{u}]" for c, u in titles.items())
+    cycle = Cycle.load(write(tmp_path, f"{text}\n0,0,0\n0.5,0.5,0.5\n"))
+    assert getattr(cycle, column).tolist() == pytest.approx([0, 0.5 * factor], rel=1e-6)
+
+
 SAME = {
     "fastsim": "cycSecs,cycMps,cycGrade,cycRoadType\n0,0,0,0\n10,10,0.02,0\n",
     "semicolons": "Time [s];Speed (km/h);Grade [%]\n0;0;0\n10;36,0;2,0\n",

@@ -182,3 +182,11 @@ else:
 def test_an_interrupt_ends_the_run():
     done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=120, check=False)
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
+
+
+def test_a_cycle_without_length_leaves_all_powers_at_zero():
+    rest = Cycle(name="rest", time=np.array([0.0]), speed=np.array([0.0]))
+    result = run(Vehicle.load("small-car-electric"), rest, via="forward")
+    assert len(result.time) == 0
+    assert {x for name, x in result.last.items() if ".P_" in name} == {0.0}
+    assert result.last["battery.soc"] == result.first["battery.soc"] > 0.5

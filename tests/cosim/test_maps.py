@@ -45,3 +45,6 @@ def test_a_picture_is_written_whole_and_a_component_without_maps_says_so(tmp_pat
     with pytest.raises(InputError) as e:
         plot_maps(read_component("small-car"), tmp_path / "map.bmp")
     assert e.value.problems == ("a plot is written as .png, .svg, .pdf, not as '.bmp'", "small-car has no maps to draw")
+    assert e.value.where == str(tmp_path / "map.bmp")
+    with pytest.raises(InputError, match=r"^plot: small-car has no maps to draw$"):
+        plot_maps(read_component("small-car"))

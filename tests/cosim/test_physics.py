@@ -186,6 +186,17 @@ def test_a_pack_under_constant_power_empties_in_a_straight_line(P):
     assert series["battery.U"][-1] == pytest.approx(U - R * current, rel=1e-12)
 
 
+@pytest.mark.parametrize(("soc", "out", "into"), [(0.00105, 0.5, 1.0), (0.5, 1.0, 1.0), (0.998975, 1.0, 0.25)])
+def test_forward_facing_the_room_of_a_pack_fades_where_it_is_empty_or_full(soc, out, into):
+    battery, U_min = pack(), (CAR.components()["motor"].p.U_min,)
+    source = battery.source((1 - soc) * 1e6, 293.15)
+    limits, room = battery.limits_at(source, U_min), battery.flow(Electric(1e3), source, U_min)
+    assert float(limits.P_min) < -1e4
+    assert float(limits.P_max) > 1e4
+    assert float(room["P_room_out"]) == pytest.approx(out * float(limits.P_max) - 1e3, rel=1e-6)
+    assert float(room["P_room_in"]) == pytest.approx(1e3 - into * float(limits.P_min), rel=1e-6)
+
+
 def test_a_pack_stores_the_coulombic_share_of_what_it_is_charged_with():
     battery, U_min = pack(), (CAR.components()["motor"].p.U_min,)
     source = battery.source(5e5, 293.15)

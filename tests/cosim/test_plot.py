@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from halfshaft import Cycle, InputError, Vehicle, plot_run, run
-from halfshaft.cosim.plot import _bars
+from halfshaft.cosim.plot import COLOURS, _bars
 from halfshaft.cosim.plot import labels_of as names_of
 
 
@@ -52,6 +52,7 @@ def test_a_run_has_the_panels_of_its_parts_and_road(car, cycle, panels):
 def test_the_powers_are_those_of_sources_and_of_the_machine_at_the_wheels(car, powers):
     (ax,) = plot_run(done(car), panels="power").axes
     assert [text.get_text() for text in ax.get_legend().get_texts()] == powers
+    assert ax.lines[-1].get_ydata() == [0, 0]
 
 
 def test_the_grade_is_that_of_the_road():
@@ -64,6 +65,14 @@ def test_the_grade_is_that_of_the_road():
     # The step reads the road at its start, and climbs by the sine where the grade is the tangent.
     before = np.concatenate([[0.0], result["body.distance"][:-1]])
     assert np.allclose(line.get_ydata()[there], 100 * np.interp(before, *road)[there], atol=1e-6)
+
+
+def test_the_grades_of_two_runs_have_the_colours_of_the_runs():
+    runs = [done(car, "hwfet-mtn") for car in ("small-car-series", "small-car-series-follower")]
+    (ax,) = plot_run(*runs, panels="grade").axes
+    assert [line.get_color() for line in ax.lines[:2]] == list(COLOURS[:2])
+    # The axis is at level road.
+    assert ax.lines[2].get_ydata() == [0, 0]
 
 
 def test_runs_over_each_other_have_one_line_each_and_their_names():

@@ -147,3 +147,43 @@ def test_a_window_must_be_a_window():
 def test_symbols_pass_without_bounds():
     m = ca.SX.sym("m")
     assert BodyParameters(m=m, c_d=0.3, A=2.0).m is m
+
+
+#: What a parameter is that a file leaves out, by its name: it scales, loses, weighs and delays nothing, and stands in the air of a room.
+LEFT_OUT = {
+    **dict.fromkeys(
+        ("P_scale", "capacity_scale", "efficiency_scale", "speed_scale", "torque_scale", "overtorque", "eta", "eta_charge"), 1.0
+    ),
+    **dict.fromkeys(("J", "mass", "tau_loss", "b", "c", "f_1", "F_1", "P_on", "P_alternator", "t_hold", "t_shift"), 0.0),
+    "T_ambient": 293.15,
+    "T_start": 293.15,
+    "g": 9.81,
+    "rho": 1.2,
+}
+
+
+def left_out():
+    """Return kind, field and default of every number that a file may leave out."""
+    parameters = [(kind, f, f.default) for kind, component in component_kinds().items() for f in fields(component.parameters)]
+    return [(kind, f, x) for kind, f, x in parameters if isinstance(x, float)]
+
+
+def test_what_a_file_leaves_out_changes_nothing():
+    known = {(kind, f.name): x for kind, f, x in left_out() if f.name in LEFT_OUT}
+    assert {name for _, name in known} == set(LEFT_OUT)
+    assert {place: x for place, x in known.items() if x != LEFT_OUT[place[1]]} == {}
+
+
+def test_what_a_file_leaves_out_lies_inside_its_bounds():
+    assert len(left_out()) > 100
+    assert [(kind, f.name, x) for kind, f, x in left_out() if not spec_of(f).holds(x)] == []
+
+
+#: What goes on in a straight line outside of its points; all else, which was measured, keeps the value of its edge.
+GOES_ON = {"P_electric", "tau_max", "tau_min", "capacity", "tau_bearing", "up", "down"}
+
+
+def test_maps_keep_their_edges_but_for_machines_bearings_and_shift_lines():
+    maps = {(kind, f.name): spec_of(f) for kind, component in component_kinds().items() for f in fields(component.parameters)}
+    going_on = {place for place, spec in maps.items() if spec.axes and not spec.clip}
+    assert going_on == {(kind, name) for kind, name in maps if name in GOES_ON} - {("engine", "tau_max")}

@@ -114,6 +114,8 @@ def test_numbers_and_curves_of_a_store_must_fit():
     for store in ("nimh-7ah-rc", "uc-2900f", "pb-25ah"):
         with pytest.raises(InputError, match=r"soc_empty = 0\.8 must be below soc_full = 0\.7"):
             car_of(CARS[0], store).with_values({"battery.soc_empty": 0.8, "battery.soc_full": 0.7})
+        with pytest.raises(InputError, match=r"soc_start = 1\.01, must be >= 0 and <= 1"):
+            car_of(CARS[0], store).with_values({"battery.soc_start": 1.01})
     p = car_of(CARS[0], "nimh-7ah-rc").parameters["battery"]
     flat = Table.of(*p.u_oc.points, values=np.full_like(p.u_oc.values, 7.0))
     with pytest.raises(InputError, match="u_oc must rise with the state of charge"):

@@ -47,11 +47,12 @@ def test_a_powertrain_derives_from_roles_that_it_has(powertrain):
 
 def test_a_powertrain_says_all_that_is_wrong_with_its_names():
     with pytest.raises(InputError) as e:
-        Powertrain("rear-motor", "", {"Body": ("body",)}, lambda m: None, (Derived("control.x", ()),))
+        Powertrain("rear-motor", "", {"Body": ("body",)}, lambda m: None, (Derived("control.x", ()),), hybridisation=1.5)
     assert list(e.value.problems) == [
         "'rear-motor' must be of lower-case words with _ between them",
         "'Body' must be of lower-case words with _ between them",
         "control.x is derived, but there is no role control",
+        "hybridisation = 1.5, must be >= 0 and <= 1",
     ]
 
 

@@ -108,6 +108,13 @@ def test_a_genset_alone_accelerates_as_its_power_allows():
     assert max(found.result["battery.P_out"]) <= 0
 
 
+def test_a_battery_that_rests_never_gives_what_it_took():
+    # While it waits, the engine of this car charges.
+    battery = AccelerationTest(resting="battery")(Vehicle.load("small-car-power-split")).result["battery.P_out"]
+    assert battery.min() < 0
+    assert battery.max() <= 0
+
+
 def test_top_speed_is_where_it_gains_no_more():
     found = TopSpeedTest()(CAR)
     assert found.figures["top_speed_mps"] == found.result.the("speed").max()

@@ -94,6 +94,15 @@ def test_a_genset_alone_holds_what_its_power_allows(name):
     assert GradeabilityTest(speed=45 * MPH)(car).figures["grade_percent"] > grade
 
 
+def test_a_grade_is_held_if_either_way_of_solving_finds_to_it():
+    car = Vehicle.load("small-car-cvt")
+    hybrid, refined, both = (GradeabilityTest(mode=m)(car).figures["grade_percent"] for m in ("hybrid", "refined", None))
+    assert hybrid < 5 < 10 < refined == both
+    series = Vehicle.load("small-car-series")
+    hybrid, refined, both = (GradeabilityTest(mode=m)(series).figures["grade_percent"] for m in ("hybrid", "refined", None))
+    assert refined < 3 < 6 < hybrid == both
+
+
 def test_by_its_motor_alone_a_parallel_hybrid_climbs_without_fuel():
     electric = GradeabilityTest(resting="converter")(PARALLEL).figures["grade_percent"]
     both = GradeabilityTest(resting="none")(PARALLEL).figures["grade_percent"]

@@ -110,7 +110,7 @@ def test_nedc_of_a_hybrid_is_its_zero_delta_run():
 
 def test_the_utility_factor_weights_round_by_round():
     found = Procedure.load("wltp")(PLUG_IN)
-    depleting, plan = found.tests["depleting"], Plan.load("wltp").utility["weighted"]
+    depleting, plan = found.tests["depleting"], Plan.load("wltp").utility
     kept = found.figures["sustaining_fuel_economy_L_per_100km"]
     litres, before = 0.0, 0.0
     for distance, consumption in depleting.rounds:
@@ -127,11 +127,31 @@ def test_the_utility_factor_weights_round_by_round():
     assert found.figures["depleting_range_m"] == pytest.approx(depleting.rounds[-1][0], rel=1e-6)
 
 
+def test_a_battery_is_depleted_until_it_gives_less_than_4_percent_of_what_a_cycle_takes():
+    tested = Procedure.load("wltp")(PLUG_IN).tests["depleting"]
+    r, whole = tested.result, 1800 + 600
+    v = np.concatenate([[0.0], r.the("speed")])
+    shares = []
+    for start in range(0, len(r.time), whole):
+        steps = range(start, start + 1800)
+        stored = sum(r["battery.P_stored"][k] for k in steps)
+        driven = sum(max(r["body.F_required"][k], 0) * (v[k] + v[k + 1]) / 2 for k in steps)
+        shares.append(abs(stored) / driven)
+    first = next(k for k, share in enumerate(shares) if share < 0.04)
+    assert shares[first - 1] > 0.1
+    assert tested.figures["rounds"] == first
+
+
 def test_points_of_the_utility_factor_of_the_wltp_follow_its_formula():
     c = (26.25, -38.94, -631.05, 5964.83, -25095, 60380.2, -87517, 75513.8, -35749, 7154.94)
-    u = Plan.load("wltp").utility["weighted"]
+    u = Plan.load("wltp").utility
     for d, share in zip(u.distance, u.share, strict=True):
         assert share == pytest.approx(1 - np.exp(-sum(x * (d / 800e3) ** i for i, x in enumerate(c, 1))), abs=1e-5)
+
+
+def test_half_of_all_driving_lies_within_39_miles():
+    u = Plan.load("j1711").utility
+    assert u(np.array([38.9, 196.0]) * M_PER_MILE) == pytest.approx([0.5, 0.9])
 
 
 def test_j1711_of_a_plug_in_hybrid():
@@ -150,12 +170,26 @@ def test_j1711_of_a_plug_in_hybrid():
     assert plain["city_weighted_fuel_economy_L_per_100km"] == plain["city_fuel_economy_L_per_100km"]
 
 
+def test_a_test_is_driven_at_least_so_often(tmp_path):
+    body = '[tests.far]\nsoc = 0.1\nrepeat = {until = "engine", at_least = 3, at_most = 9}\ndrive = [{cycle = "nycc"}]\n'
+    found = Procedure.load(written(tmp_path, body))(PLUG_IN)
+    assert found.figures["far_rounds"] == 3
+    assert all(c.fuel > 0 for _, c in found.tests["far"].rounds)
+
+
+def test_electricity_counts_33_705_kwh_a_gallon():
+    found = Procedure.load("city-highway")(ELECTRIC).figures
+    kWh_per_mile = found["combined_energy_kWh_per_100km"] / 100 * M_PER_MILE / 1e3
+    assert found["combined_energy_MPGe"] == pytest.approx(33.705 / kWh_per_mile, rel=1e-12)
+
+
 def test_a_warm_up_does_not_count():
     tested = Procedure.load("j1711")(PARALLEL).tests["highway"]
     r = tested.result
     soc = np.concatenate([[r.first["battery.soc"]], r["battery.soc"]])
     assert tested.figures["soc_change"] == pytest.approx(soc[-1] - soc[765 + 15], abs=1e-12)
     assert tested.figures["soc_change"] != pytest.approx(soc[-1] - soc[0], abs=1e-4)
+    assert tested.search.record[-1].change == tested.figures["soc_change"]
     distance = r.the("distance")
     assert tested.figures["distance_m"] == pytest.approx(distance[-1] - distance[765 + 15 - 1], rel=1e-12)
     assert not r["engine.fuel_flow"][766:780].any()
@@ -251,9 +285,13 @@ repeat = {until = "tired", at_least = 5, at_most = 2}
 drive = []
 [combined.city]
 town = 1
-[utility.u]
+[weighted.u]
 depleting = "city"
 sustaining = "nothing"
+[weighted.w]
+depleting = "city"
+sustaining = "far"
+[utility]
 distance = {unit = "km", values = [0, 10, 5]}
 share = [0, 0.5, 2]
 """,
@@ -279,9 +317,9 @@ share = [0, 0.5, 2]
         "combined.city.town is not known",
         "combined.city has no share above 0",
         "city is the name of 2 things",
-        'utility.u.sustaining = "nothing"',
+        'weighted.u.sustaining = "nothing"',
         "that test is not repeated",
-        "utility.u.share[3] = 2",
+        "utility.share[3] = 2",
     ):
         assert said in text, f"{said}\n\n{text}"
 
@@ -291,7 +329,7 @@ def test_wrong_kinds_of_things_are_refused(tmp_path):
         "[tests]\n", "tests = 3\n", "[tests]\na = 1\n", "[tests.a]\ndrive = 3\n", "[tests.a]\ndrive = [1]\n",
         "[tests.a]\nsoc = []\ndrive = [{cycle = 1}]\n", "[tests.a]\nrepeat = 1\ndrive = [{cycle = 'udds', from = 'nan s'}]\n",
         "[tests.a]\nvehicles = 1\ndrive = [{cycle = 'udds', bag = 3}]\n",
-        "combined = {b = {}}\nutility = {c = 1}\n[tests.a]\ndrive = [{soak = '5 s'}]\n",
+        "combined = {b = {}}\nweighted = {c = 1}\n[tests.a]\ndrive = [{soak = '5 s'}]\n",
         "grid = 5\n[tests.a]\ndrive = [{cycle = 'udds'}]\n",
     ):  # fmt: skip
         assert problems(tmp_path, body)

@@ -61,6 +61,13 @@ def test_a_step_without_a_root_ends_with_the_best_run():
     assert found.found == found.record[found.best].soc
 
 
+def test_a_step_is_never_near_an_end_of_its_bracket():
+    _, asked = (drive := scripted(lambda s: 0.09 if s < 0.45 else -0.006 - 0.01 * (s - 0.45)))
+    zero_delta(drive[0], 0.6, most_runs=7)
+    below, above = max(s for s in asked[:-1] if s < 0.45), min(s for s in asked[:-1] if s > 0.45)
+    assert asked[-1] == pytest.approx(below + 0.8 * (above - below))
+
+
 def test_a_charge_that_only_falls_ends_at_the_empty_battery():
     drive, asked = scripted(lambda s: -0.05 - s)
     found = zero_delta(drive, 0.5)

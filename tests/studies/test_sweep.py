@@ -111,30 +111,25 @@ def test_a_sweep_finds_what_single_runs_find():
 
 
 def test_many_plain_runs_are_made_in_batches_and_find_the_same(monkeypatch, tmp_path):
-    car = Vehicle.load("small-car-series")
-    axes = {
-        "control.soc_high": [0.4, 0.5, 0.8],
-        "control.soc_low": [0.3, 0.45],
-        "motor": "ac-75kw,ac-83kw",
-        "motor.P_max": ["60 kW", "80 kW"],
-    }
+    frame = {"body.h": [0.5, 1.32, 0.6], "body.wheelbase": [2.7, 2.6]}
+    axes = {**frame, "motor": "ac-75kw,ac-83kw", "motor.P_max": ["60 kW", "80 kW"]}
     tasks = [Drive(SHORT), Drive(Cycle(name="rest", time=[0, 9], speed=[0, 0]), "refined")]
-    alone = sweep(car, axes, tasks, workers=1)
+    alone = sweep(CAR, axes, tasks, workers=1)
     module = sys.modules["halfshaft.studies.sweep"]
     monkeypatch.setattr(module, "BATCHED", 24)
     monkeypatch.setattr(module, "BATCH", 7)
-    together = sweep(car, axes, tasks, folder=tmp_path)
+    together = sweep(CAR, axes, tasks, folder=tmp_path)
     about_the_method = {f"{task.name}.{name}" for task in tasks for name in ("balance_relative", "speed_mismatch_relative")}
     assert set(alone) - set(together) == about_the_method
     assert alone[[*together]].drop_vars("notes").equals(together.drop_vars("notes"))
     assert (together["notes"] == "").all()
-    # A window upside down: 4 of 24 points.
+    # A centre of gravity above half of the wheelbase: 4 of 24 points.
     assert (together["failure"] != "").sum() == 4
-    assert "must be below soc_high = 0.4" in str(together["failure"].values[0, 1, 0, 0])
+    assert "h = 1.32 m must be below half of wheelbase = 2.6 m" in str(together["failure"].values[1, 1, 0, 0])
     # In portions of another size they are the same.
     monkeypatch.setattr(module, "BATCH", 24)
-    assert sweep(car, axes, tasks).equals(together)
-    assert sweep(car, axes, tasks, folder=tmp_path).equals(together)
+    assert sweep(CAR, axes, tasks).equals(together)
+    assert sweep(CAR, axes, tasks, folder=tmp_path).equals(together)
 
 
 def test_a_run_of_a_batch_that_loses_a_number_is_a_failing_point(monkeypatch):
@@ -283,6 +278,17 @@ def test_what_is_no_list_and_what_is_too_much_is_refused():
     ]
     assert problems(CAR, {"wheel.J": "1..2"}, Weigh(), sample="saltelli:4194304") == [
         "has 12582912 points, must have at most 10000000; draw a sample"
+    ]
+
+
+def test_one_response_may_be_a_text():
+    assert list(sweep(CAR, {"body.m": [1000, 1200]}, Weigh(), responses="drag").data_vars) == ["drag", "failure", "notes"]
+
+
+def test_what_is_no_whole_number_is_refused():
+    assert problems(CAR, {"body.m": "1000..1200"}, Weigh(), sample="lhs:4", seed=0.5, workers=2.5) == [
+        "sample lhs:4 has seed 0.5, must be a whole number >= 0",
+        "workers = 2.5, must be a whole number from 1 to 1000",
     ]
 
 

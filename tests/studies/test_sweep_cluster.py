@@ -52,5 +52,5 @@ def test_a_cluster_without_workers_is_refused():
 def test_workers_go_with_this_machine_only():
     with pytest.raises(InputError, match="workers on this machine or the scheduler of a cluster, not both"):
         sweep(CAR, AXES, Drive(Cycle.load("nycc")), scheduler="tcp://127.0.0.1:1", workers=2)
-    with pytest.raises(InputError, match="workers = 0, must be from 1"):
+    with pytest.raises(InputError, match="workers = 0, must be a whole number from 1"):
         sweep(CAR, AXES, Drive(Cycle.load("nycc")), workers=0)

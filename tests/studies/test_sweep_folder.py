@@ -229,5 +229,5 @@ def test_a_worker_that_is_lost_is_said(tmp_path):
         from halfshaft.studies import sweep as module
 
         job = module._planned(CAR, AXES, Weigh(), None, 0, None, None)[0]
-        with pytest.raises(HalfshaftError, match="a worker was lost"):
+        with pytest.raises(HalfshaftError, match="a process was lost"):
             module._share_out(job, module.deque([(0, (1000.0, 0.3))]), one, lambda found: None)

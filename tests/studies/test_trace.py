@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from halfshaft import Cycle, Vehicle, run
-from halfshaft.studies.trace import Driven, advisor_figures, j2951_figures, road_load, trace_figures
+from halfshaft.studies.trace import Driven, j2951_figures, miss_figures, road_load, trace_figures
 
 MASS, ROAD = 1500.0, (100.0, 1.0, 0.5)
 T = np.arange(0.0, 61.0)
@@ -12,7 +12,7 @@ TARGET = np.concatenate([np.zeros(5), np.linspace(0, 20, 21), np.full(15, 20.0),
 
 
 def test_the_five_numbers_by_hand():
-    found = advisor_figures(Driven(np.array([0.0, 1, 2, 4]), np.array([0.0, 4, 9, 10]), np.array([0.0, 5, 10, 8])))
+    found = miss_figures(Driven(np.array([0.0, 1, 2, 4]), np.array([0.0, 4, 9, 10]), np.array([0.0, 5, 10, 8])))
     # Times around the points: 0.5, 1, 1.5 and 1 s; misses 0, 1, 1, 2.
     assert found["trace_miss_mean_mps"] == pytest.approx((1 + 1.5 + 2) / 4)
     assert found["trace_miss_time_percent"] == pytest.approx(100 * 3.5 / 4)  # above 2 mph, which is 0.894 m/s
