@@ -256,7 +256,10 @@ class _Plan(NamedTuple):
         """Run all, some thousands at a time; histories are written to the rows."""
         numbers, start_speed = fleet.values, self.step.parameter_index[self.step.tags.the("start speed")]
         varied = {i: x for i, d in enumerate(self.step.parameters) if isinstance(x := numbers[d.name], np.ndarray)}
-        same = np.array([0.0 if i in varied else numbers[d.name] for i, d in enumerate(self.step.parameters)])
+        same = [0.0 if i in varied else numbers[d.name] for i, d in enumerate(self.step.parameters)]
+        # Behind the parameters stand the values of maps.
+        p: Array = np.empty((min(CHUNK, len(traces.of)), len(same) + sum(len(own[0].values) for own in maps.values())))
+        p[:, : len(same)] = same
         places = np.array([self.step.state_index[name] for name in starts], dtype=np.intc)
         in_c, _kept = traces.in_c([w.how for w in self.wanted if isinstance(w.how, float)])
         lengths = np.array([len(s.t) for s in traces.samples])
@@ -265,17 +268,18 @@ class _Plan(NamedTuple):
             n = part.stop - k
             # Runs that last equally long go together.
             order = np.argsort(lengths[traces.of[part]], kind="stable").astype(np.intc)
-            p, x, found = np.tile(same, (n, 1)), np.empty((n, len(starts))), np.empty((n, len(self.wanted)))
+            x, found = np.empty((n, len(starts))), np.empty((n, len(self.wanted)))
             lost, unsolved = np.empty(n, np.intc), np.empty(n, np.intc)
             for i, values in varied.items():
-                p[:, i] = values[part]
-            p[:, start_speed] = traces.of_each([s.v_start for s in traces.samples], part)
-            p = np.hstack([p, *([t.values for t in own[part]] for own in maps.values())])
+                p[:n, i] = values[part]
+            p[:n, start_speed] = traces.of_each([s.v_start for s in traces.samples], part)
+            if maps:
+                p[:n, len(same) :] = np.hstack([[t.values for t in own[part]] for own in maps.values()])
             for i, values in enumerate(starts.values()):
                 x[:, i] = values[part] if isinstance(values, np.ndarray) else values
             job = _Job(
-                n, 0, address(order), ctypes.addressof(in_c), *map(address, (traces.of[part], p, x, places)), len(starts), address(found),
-                address(rows[part]), traces.longest, address(lost), address(unsolved), MODES.index(mode),
+                n, 0, address(order), ctypes.addressof(in_c), address(traces.of[part]), address(p), address(x), address(places), len(starts),
+                address(found), address(rows[part]), traces.longest, address(lost), address(unsolved), MODES.index(mode),
             )  # fmt: skip
             self.library.hs_batch(ctypes.byref(job), threads)
             yield _Done(part, {w.name: found[:, i] for i, w in enumerate(self.wanted)}, lost, unsolved)
