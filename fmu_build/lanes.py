@@ -113,26 +113,20 @@ class _Writer:
         self.ops = _urgent_first([op for op in found.stepped if op.name not in followed])
         names = dict.fromkeys((*(name for op in self.ops for name in op.of), *found.following, *found.outputs))
         divisors = Counter(op.of[1] for op in self.ops if op.what == "div")
-        #: What a lane keeps: prepared values, parameters, and rows of them; and what follows from the request.
-        self.kept = [*(name for name in names if name.startswith(("c", "p[")))]
-        self.of_cycle = [name for name in names if name in followed]
-        # For divisors that are known before, and for those of several quotients, the inverse is found.
-        self.divisors = {name for name, n in divisors.items() if n > 2 and name.startswith("t") and name not in followed}
         self.length = f"u[{[d.name for d in step.requests].index('dt')}]"
-        self.kept += [f"1/{name}" for name in self.kept if name in divisors]
+        # The inverse is found of divisors that are known before, and of those of several quotients.
+        self.divisors = {name for name, n in divisors.items() if n > 2 and name.startswith("t") and name not in followed}
+        #: What follows from the request and is read; and what a lane keeps: prepared values, parameters, and rows of them.
+        self.of_cycle = [name for name in names if name in followed]
         self.of_cycle += [f"1/{name}" for name in divisors if name in followed or name.startswith("u[")]
+        self.kept = [name for name in names if name.startswith(("c", "p["))]
+        self.kept += [f"1/{name}" for name in self.kept if name in divisors]
         self.rows: dict[str, int] = {}
         for name, first in self.graph.rows.items():
             self.rows[name] = len(self.kept)
             self.kept += [f"p[{first + i}]" for i in range(len(self.graph.tables[name].values))]
-        divisors = Counter(op.of[1] for op in found.stepped if op.what == "div")
-        #: Divisors that are known before the step, and those of several quotients in it: for them their inverse is found.
-        self.inverted = [name for name in self.kept if name in divisors]
-        self.kept += [f"1/{name}" for name in self.inverted]
-        self.length = f"u[{[d.name for d in step.requests].index('dt')}]"
-        self.divisors = {name for name, n in divisors.items() if n > 2 and name.startswith("t")}
-        self.place = {name: ("q", i) for i, name in reversed([*enumerate(self.kept)])}
-        self.place |= {name: ("w", i) for i, name in enumerate(self.of_cycle)}
+        kept = {name: ("q", i) for i, name in reversed([*enumerate(self.kept)])}
+        self.place = kept | {name: ("w", i) for i, name in enumerate(self.of_cycle)}
         self.quotients: dict[tuple[str, str], int] = {}
         self.lines: list[str] = []
         self.loaded: set[str] = set()
@@ -148,12 +142,9 @@ class _Writer:
         for name in list(self.stores):
             self._store(name)
         yield _HEAD.format(blocks=self.blocks, kept=max(len(self.kept), 1), of_cycle=max(len(self.of_cycle), 1))
-        ops = self.found.stepped
-        yield from (
-            axis_source(name, self.graph.axes[name]) for name in dict.fromkeys(op.about for op in ops if op.what in ("find", "place"))
-        )
-        used = dict.fromkeys(op.about for op in ops if op.what == "table")
-        yield from (self._table_source(name, self.graph.tables[name]) for name in used)
+        axes, tables = (dict.fromkeys(op.about for op in self.ops if op.what in kinds) for kinds in (("find", "place"), ("table",)))
+        yield from (axis_source(name, self.graph.axes[name]) for name in axes)
+        yield from (self._table_source(name, self.graph.tables[name]) for name in tables)
         yield "static int hs_prepare_lane(const double *p, double *q) {"
         yield "  double prepared[HS_NQ];\n  const int lost = hs_prepare(p, prepared);"
         yield from (f"  q[{i} * HS_LANES] = {self._prepared(name)};" for i, name in enumerate(self.kept))
@@ -178,9 +169,8 @@ class _Writer:
         for block in range(self.blocks):
             self.lines.append(f"  const {_TYPES[op.kind]} {op.name}_{block} = {self._c(op, block)};")
             if op.name in self.divisors:
-                self.lines.append(
-                    f"  vm s{op.name}_{block};\n  const vd r{op.name}_{block} = v_inverse({op.name}_{block}, &s{op.name}_{block});"
-                )
+                name = f"{op.name}_{block}"
+                self.lines.append(f"  vm s{name};\n  const vd r{name} = v_inverse({name}, &s{name});")
         self._store(op.name)
 
     def _c(self, op: Op, block: int) -> str:
