@@ -11,6 +11,8 @@ QUANTITIES = {
     "_L_per_100km": "economy", "_Wh_per_km": "consumption", "_range_m": "range", "_distance_m": "distance",
     "_mps2": "", "_mps": "speed", "_J": "energy", "_W": "power", "_L": "volume", "_m": "way",
 }  # fmt: skip
+#: Without a value the vehicle does not use what these tell of; all else was not reached.
+USED = ("_L_per_100km", "_Wh_per_km", "_kWh_per_100km", "_MPGe")
 #: Endings that both systems show alike.
 PLAIN = {"_percent": "%", "_MPGe": "MPGe", "_mps2": "m/s2", "_s": "s", "_kWh_per_100km": "kWh/100 km", "_mpg": "mpg"}
 
@@ -27,8 +29,10 @@ def _rows(figures: Mapping[str, float | None], units: Units) -> Iterable[tuple[s
         ending = next((e for e in (*PLAIN, *QUANTITIES) if f"_{name}".endswith(e)), "")
         what = name.removesuffix(ending).removesuffix(ending[1:]).replace("_", " ")
         what = what.replace(" kmh", " km/h") + {"_range_m": " range", "_distance_m": " distance"}.get(ending, "")
-        if x is None:
+        if x is None and ending not in USED:
             yield what.strip(), "-"
+        elif x is None:
+            continue
         elif quantity := QUANTITIES.get(ending):
             yield what.strip(), shown(quantity, x, units)
         elif ending == "_kWh_per_100km" and units == "us":

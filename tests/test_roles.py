@@ -15,11 +15,17 @@ ROLES = sorted({role for powertrain in powertrains().values() for role in powert
 SPELT = re.compile(rf"({'|'.join(ROLES)})(\.\w*)?")
 #: Powertrains give the names.  Older results have no tags.
 EXEMPT = {"models/powertrains", "cosim/older.py"}
-#: ``wheel`` is also a side of a port, and a rule has its own names for the parts that it looks at; a tag may be a role's word.
+#: ``wheel`` is also a side of a port, a rule has its own names for the parts that it looks at, a tag may be a role's word; and options of
+#: tests say which kind of source rests (``resting``), or what ends a depleting test (``until``).
 OTHER = {("models/model.py", "wheel"), ("models/wiring.py", "wheel"), *(("models/rules.py", role) for role in ROLES)}
+OTHER |= {
+    (path, word)
+    for path in ("studies/acceleration.py", "studies/conditions.py", "studies/gradeability.py", "app/commands/test.py")
+    for word in ("battery", "converter")
+} | {("studies/procedure.py", "engine"), ("studies/procedure_file.py", "engine")}
 FILES = [
     path.relative_to(ROOT)
-    for folder in ("models", "fmu_build", "cosim", "src")
+    for folder in ("models", "fmu_build", "cosim", "studies", "app", "src")
     for path in sorted((ROOT / folder).rglob("*"))
     if path.suffix in (".py", ".c", ".h") and not EXEMPT & {str(p) for p in (path.relative_to(ROOT), *path.relative_to(ROOT).parents)}
 ]
