@@ -278,8 +278,8 @@ class _Plan(NamedTuple):
             for i, values in enumerate(starts.values()):
                 x[:, i] = values[part] if isinstance(values, np.ndarray) else values
             job = _Job(
-                n, 0, address(order), ctypes.addressof(in_c), address(traces.of[part]), address(p), address(x), address(places), len(starts),
-                address(found), address(rows[part]), traces.longest, address(lost), address(unsolved), MODES.index(mode),
+                n, 0, address(order), ctypes.addressof(in_c), address(traces.of[part]), address(p), address(x), address(places),
+                len(starts), address(found), address(rows[part]), traces.longest, address(lost), address(unsolved), MODES.index(mode),
             )  # fmt: skip
             self.library.hs_batch(ctypes.byref(job), threads)
             yield _Done(part, {w.name: found[:, i] for i, w in enumerate(self.wanted)}, lost, unsolved)
