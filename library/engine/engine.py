@@ -186,9 +186,8 @@ class Engine(Component, Machine):
     ) -> Mapping[str, Any]:
         """Return the speed that the engine comes to by itself, and the most that it could."""
         J, highest = ca.fmax(self.p.J + J_shaft, 1e-6), self.tau_max(omega_own)
-        spin_up = ca.fmin(highest, J * (omega_command - omega_own) / dt + tau_accessory_before)
-        # Rounding must not decide where the two are equal, as when the engine is off and stands.
-        tau_free = where(omega_command >= omega_own - 1e-9, spin_up, self.tau_closed(omega_own))
+        # A governor holds the commanded speed from both sides.
+        tau_free = clip(J * (omega_command - omega_own) / dt + tau_accessory_before, self.tau_closed(omega_own), highest)
         per_tau = dt * (1 / J)
         return {
             "_free": ca.fmax(omega_free + per_tau * (tau_free - tau_accessory_before), 0),

@@ -92,6 +92,21 @@ def test_a_genset_speeds_up_no_faster_than_with_all_its_torque():
     assert number(in_turn(part, "spin", "speed", **known, dt=100.0, omega_own=200.0)["omega_engine"]) == 400.0
 
 
+@pytest.mark.parametrize("dt", [1.0, 0.1])
+def test_an_engine_on_its_own_comes_down_to_the_command_and_not_below(dt):
+    part, J = engine(), 0.1
+    known = {"engine_on": 1.0, "omega_idle": 0.0, "clutch_open": 1.0, "geared": 1.0, "command_before": 0.0, "trace_missed": 0.0}
+    known |= {"speed_ratio": 1.0, "ratio_before": 1.0, "dt": dt, "tau_accessory_before": 2.0}
+
+    def next_speed(own, command):
+        return number(in_turn(part, "spin", "speed", **known, omega_own=own, omega_free=own, omega_command=command)["omega_engine"])
+
+    # The command of a shaft that turns ever slower is met; with closed throttle the engine would fall far below.
+    assert next_speed(178.4, 178.1) == pytest.approx(178.1, abs=1e-9)
+    # What is too far away is come to with closed throttle, and the accessories.
+    assert next_speed(400.0, 0.0) == pytest.approx(max(400.0 + dt / J * (number(part.tau_closed(400.0)) - 2.0), 0.0), rel=1e-12)
+
+
 def test_the_plant_gives_no_torque_above_the_top_speed():
     part = engine()
     known = {"throttle_engine": 1.0, "omega_command": 300.0, "omega_idle": 80.0, "engine_on": 1.0, "clutch_open": 0.0, "geared": 1.0}

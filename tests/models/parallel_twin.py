@@ -26,17 +26,6 @@ class ParallelShift(Shift):
         return found
 
 
-class HybridEngine(Engine):
-    """An engine that is often off: at rest rounding must not decide whether it spins up or down."""
-
-    def spun(self, *x):
-        own = self.own
-        self.own = x[0] if abs(own - x[0]) <= 1e-9 else own
-        found = super().spun(*x)
-        self.own = own
-        return found
-
-
 class Coupler:
     """The engine's side gives what it gives; the motor is asked for the rest."""
 
@@ -130,7 +119,7 @@ def parallel(parameters, samples, *, behind_gearbox=False):
     """Return a row of every step; the motor stands before the gearbox, or behind it at the final drive."""
     p = parameters
     road, final, gearbox = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Gearbox(p["gearbox"])
-    engine, belt, ratios = HybridEngine(p["engine"]), MechanicalAccessories(p["mechanical_accessories"]), p["gearbox"].ratios
+    engine, belt, ratios = Engine(p["engine"]), MechanicalAccessories(p["mechanical_accessories"]), p["gearbox"].ratios
     motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"], "electric_accessories"), Bus()
     battery, coupler = Battery(p["battery"], p["motor"].U_min), Coupler(p["coupler"], "gearbox" if behind_gearbox else "clutch")
     control = ParallelControl(p["control"], engine, motor, p["coupler"].n, samples.v_start)
@@ -211,7 +200,7 @@ def mild(parameters, samples):
     """Return a row of every step of a mild hybrid."""
     p = parameters
     road, final, gearbox = Road(p["body"], p["wheel"], samples.v_start), FinalDrive(p["final_drive"]), Gearbox(p["gearbox"])
-    engine, belt = HybridEngine(p["engine"], p["control"].omega_idle), MechanicalAccessories(p["mechanical_accessories"])
+    engine, belt = Engine(p["engine"], p["control"].omega_idle), MechanicalAccessories(p["mechanical_accessories"])
     motor, accessories, bus = Motor(p["motor"]), Accessories(p["electric_accessories"], "electric_accessories"), Bus()
     battery, n, T_drag = Battery(p["battery"], p["motor"].U_min), p["coupler"].n, p["coupler"].tau_loss
     control = MildControl(p["control"], engine, motor, n, samples.v_start)

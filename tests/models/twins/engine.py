@@ -37,7 +37,7 @@ class Engine:
     def spun(self, w_c, T_acc, dt):
         """Return the speed that an engine without load reaches on its way to the command."""
         J = max(self.J + self.J_shaft, 1e-6)
-        T = min(self.T_max(self.own), J * (w_c - self.own) / dt + T_acc) if w_c >= self.own else self.T_closed(self.own)
+        T = clip(J * (w_c - self.own) / dt + T_acc, self.T_closed(self.own), self.T_max(self.own))
         self.free = max(self.free + dt * (T - T_acc) / J, 0.0)
         return self.free
 
