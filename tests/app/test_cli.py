@@ -405,6 +405,8 @@ def test_components_of_one_kind_are_listed_with_power_and_mass():
     rows = {line.split()[0]: line.split() for line in done("list", "components", "--kind", "motor").splitlines() if "motor" in line}
     assert rows.keys() >= set(halfshaft.component_names("motor"))
     assert rows["ac-75kw"][1:4] == ["motor", "74.6", "91"]
+    # What has neither shows neither.
+    assert next(line for line in done("list", "components").splitlines() if "final-3.93" in line).split()[1:3] == ["final-drive", "Final"]
     assert "'moto' is not a kind of component, did you mean 'motor'?" in refused("list", "components", "--kind", "moto")
     assert "goes with components, not with cycles" in refused("list", "cycles", "--kind", "motor")
 

@@ -4,11 +4,13 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from halfshaft.cosim.cycle import Cycle
+from halfshaft.cosim.forward import Forward
 from halfshaft.cosim.simulate import run
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.acceleration import accelerate
@@ -160,6 +162,14 @@ def test_other_engines_run_to_the_end(engine):
 def test_nothing_is_said_by_the_integrator(capfd):
     accelerate(vehicle_of("small-car-conventional"), via="forward")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("start", [0.5, 3.0, -40.0])
+def test_a_step_to_the_balance_is_cut_where_a_whole_one_leads_away_from_it(start):
+    # From beyond 1.39 whole steps of Newton's method swing out further and further.
+    bent = SimpleNamespace(_balance=lambda z, x, p: (np.arctan(z - 1), np.diag(1 / (1 + (z - 1) ** 2))))
+    nothing = np.array([])
+    assert Forward._newton(bent, np.array([1 + start]), nothing, nothing, 0.0) == pytest.approx([1], abs=1e-9)
 
 
 INTERRUPTED = """

@@ -21,6 +21,17 @@ def test_a_motor_gives_the_share_of_its_torque_for_which_power_comes(offered, sh
     assert float(back["shaft"].tau) == pytest.approx(60 * share)
 
 
+@pytest.mark.parametrize(("speed", "share"), [(0.9, 1), (0.995, 1), (0.9975, 0.5), (1, 0), (1.01, 0)])
+def test_forward_facing_a_motors_torque_fades_below_its_top_speed(speed, share):
+    file = read_component("pm-32kw")
+    motor = file.component(file.parameters)
+    omega = speed * motor.omega_max
+    room = {"P": 0.0, "P_out": 1e6, "P_in": 1e6, "U": 1e4}
+    assert float(motor.short(0.0, omega, throttle=1.0, **room)) == pytest.approx(share * float(motor.limits(omega)[1]), rel=1e-9, abs=1e-9)
+    # The motor brakes all the same.
+    assert float(motor.short(0.0, omega, throttle=-1.0, **room)) == pytest.approx(float(motor.limits(omega)[0]), rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("car", "name", "allowed", "refused"),
     [("small-car-conventional", "engine.efficiency_scale", 2.5, 3.0), ("small-car-electric", "motor.efficiency_scale", 1.05, 1.1)],

@@ -23,6 +23,15 @@ def test_a_pack_gives_its_energy_when_it_is_emptied_slowly(name):
     assert p.ratings()["energy"] == pytest.approx(energy, rel=1e-4)
 
 
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in ("battery-rc", "ultracapacitor") for name in component_names(kind)])
+def test_capacitors_give_their_energy_when_they_are_emptied_slowly(kind, name):
+    p = read_component(name).build(n_modules=10.0, capacity_scale=1.3)
+    T = p.T_start
+    full, empty, C = (p.u_max, 0, p.C(T)) if hasattr(p, "C") else (p.u_oc(T, 1.0), p.u_oc(T, 0.0), p.C_bulk(T) + p.C_surface(T))
+    u = np.linspace(full, empty, 1001)
+    assert p.ratings()["energy"] == pytest.approx(10 * 1.3 * C * -np.sum(np.diff(u) * (u[1:] + u[:-1]) / 2), rel=1e-9)
+
+
 def resistance(p, soc):
     """Return voltage and resistance of a module that is discharged."""
     at = p.T_start, soc

@@ -7,6 +7,7 @@ import pytest
 from twins.vehicles import TWINS, columns
 
 from halfshaft import Cycle, Vehicle, run
+from halfshaft.library.base.ports import Tyre
 from halfshaft.library.files.component_file import read_component
 
 UDDS, US06 = Cycle.load("udds"), Cycle.load("us06")
@@ -111,3 +112,18 @@ def test_a_soft_tyre_and_a_loaded_one_roll_harder():
     assert at(2e4) == pytest.approx(wheel.a * 240**-0.3191 * 2 * (6000**0.9076 + 4000**0.9076) * np.sqrt(0.85 / 1.193), rel=1e-12)
     assert at(2e4, pressure=1.8e5) > at(2e4)
     assert at(2e4) / at(1e4) == pytest.approx(2**0.9076, rel=1e-9)
+
+
+@pytest.mark.parametrize(("F", "a"), [(900.0, 2.0), (-2500.0, -3.0)])
+def test_forward_facing_the_room_of_a_driveline_ends_where_the_tyres_do(F, a):
+    parts = CAR.with_values({"wheel.rear_driven": 1.0}).components()
+    body, wheel, brakes = parts["body"], parts["wheel"], (-600.0, -250.0)
+    p, loads = wheel.p, body.loads(a, 0.02)
+    out = wheel.flow(Tyre(F, 15.0, a), *brakes, 0.02, body, lambda speed: 1.0)
+    # What bearings and inertia take of the driveline's torque, half of it on each axle.
+    taken = float(out["axle"].tau) - p.r * (F - sum(brakes))
+    for axle, brake, load in zip(("front", "rear"), brakes, loads, strict=True):
+        for tau, grip in ((out[f"tau_{axle}_out"], load), (-out[f"tau_{axle}_in"], -load)):
+            assert (float(tau) - taken / 2) / p.r + brake == pytest.approx(p.mu_max * float(grip), rel=1e-12)
+    more, less = (float(out[f"tau_grip_{way}"]) / p.r for way in ("out", "in"))
+    assert (F + more, F - less) == pytest.approx((p.mu_max * float(sum(loads)), -p.mu_max * float(sum(loads))), rel=1e-12)
