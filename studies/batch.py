@@ -131,7 +131,8 @@ def run_batch(
     if problems:
         raise InputError("batch", problems)
 
-    wanted = sorted(set(wanted), key=lambda w: w.place)
+    # In an order that is the same in every process, so that the compiled code is found again.
+    wanted = sorted(dict.fromkeys(wanted), key=lambda w: w.place)
     plan = _plan(Build(vehicle), tuple(wanted), tuple(dict.fromkeys(history)), tuple(maps), next(iter(widths()), ""), traces.halved)
     shown = _Figures(step, fleet, traces) if summary is None else None
     rows = np.full((runs, traces.longest, len(plan.history)), np.nan)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,10 +57,9 @@ def test_auxiliaries_take_their_power_a_step_late():
 
 
 def test_a_curve_must_be_one_that_a_power_has_one_current_on():
-    values = {**vars(POLAR.p), "U_cell": Table.of([100.0, 1000.0, 2000.0], values=[0.9, 0.8, 0.3])}
     with pytest.raises(InputError, match="U_cell falls so fast"):
-        type(POLAR.p)(**values)
+        replace(POLAR.p, U_cell=Table.of([100.0, 1000.0, 2000.0], values=[0.9, 0.8, 0.3]))
     with pytest.raises(InputError, match="a cell gives more power than its fuel has at H_fuel = 6e"):
-        type(POLAR.p)(**{**vars(POLAR.p), "H_fuel": 6e7})
+        replace(POLAR.p, H_fuel=6e7)
     with pytest.raises(InputError, match="lifts an efficiency of the map above 1"):
-        type(NET.p)(**{**vars(NET.p), "efficiency_scale": 1.7})
+        replace(NET.p, efficiency_scale=1.7)

@@ -1,6 +1,9 @@
 """Batches against single runs: the same numbers to the last bit, whatever the vehicles differ in."""
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -166,6 +169,21 @@ def test_everything_that_is_wrong_is_said_at_once():
 def test_what_cannot_be_run_is_said(arguments, message):
     with pytest.raises(InputError, match=message):
         run_batch(**{"vehicle": CAR, "values": {"body.m": [1000.0, 1100.0, 1200.0]}, "cycle": SHORT, **arguments})
+
+
+def test_another_process_finds_the_code_of_this_one(tmp_path):
+    text = """if True:
+        from halfshaft import Cycle, Vehicle, run_batch
+        cycle = Cycle(name="short", time=[0.0, 5.0], speed=[0.0, 5.0])
+        summary = {name: ["integral", "max"] for name in ("motor.P_in", "body.v", "battery.soc")}
+        run_batch(Vehicle.load("small-car-electric"), {"body.m": [1000.0, 1100.0]}, cycle, summary=summary)
+    """
+    found = []
+    for seed in ("1", "2"):
+        environment = {**os.environ, "HALFSHAFT_CACHE": str(tmp_path), "PYTHONHASHSEED": seed}
+        subprocess.run([sys.executable, "-c", text], env=environment, check=True)
+        found.append(sorted(path.name for path in tmp_path.iterdir()))
+    assert found[0] == found[1] != []
 
 
 def test_one_run_needs_no_arrays():
