@@ -10,9 +10,10 @@ from __future__ import annotations
 import ctypes
 import warnings
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -32,20 +33,41 @@ Array: TypeAlias = npt.NDArray[np.float64]
 NAMED = 5
 
 
-class March(NamedTuple):
-    """What a march over a cycle leaves."""
+@dataclass(frozen=True)
+class March:
+    """What a march over a cycle leaves.
+
+    The totals are worked out when they are first asked for, where a history was kept; a `SolveError` then says what is not finite.
+    """
 
     #: Outputs of shape ``(n, n_outputs)``; None where only their totals were asked for.
     history: Array | None
-    #: Of each output the last value, zero if there was no step; the time integral; the maximum, minus infinity without a step.
-    last: Array
-    sums: Array
-    highest: Array
+    #: Gives last values, time integrals and maxima.
+    total: Callable[[], tuple[Array, Array, Array]]
     #: The last state.
     state: Array
     evaluations: int
     #: Steps in which the search of the refined mode, or the iteration, found no speed that is reached.
     unsolved: int = 0
+
+    @cached_property
+    def _totals(self) -> tuple[Array, Array, Array]:
+        return self.total()
+
+    @property
+    def last(self) -> Array:
+        """Outputs of the last step; zero if there was none."""
+        return self._totals[0]
+
+    @property
+    def sums(self) -> Array:
+        """Time integral of each output."""
+        return self._totals[1]
+
+    @property
+    def highest(self) -> Array:
+        """Maximum of each output; minus infinity if there was no step."""
+        return self._totals[2]
 
 
 def integrals(name: str, outputs: Iterable[str], samples: Samples, history: Array) -> Array:
@@ -105,6 +127,7 @@ _LONG, _PLACE = ctypes.c_long, ctypes.c_void_p
 #: Argument types of the functions in ``march.c``.
 _ARGUMENTS = {
     "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 5, ctypes.c_int, _PLACE),
+    "hs_total": (_LONG, *(_PLACE,) * 4),
     "hs_one": (_PLACE,) * 5,
     "hs_first": (_PLACE,) * 2,
 }
@@ -201,7 +224,7 @@ class CompiledStep:
         Raises
         ------
         SolveError
-            If a state is not a number, or an output is not finite.
+            If a state is not a number, or without `history` an output is not finite; with it, the totals tell.
         InputError
             If an array is of another length.
 
@@ -211,19 +234,26 @@ class CompiledStep:
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = np.empty(n_states) if state is None else _doubles("state", state, n_states).copy()
         rows = np.empty((n, n_outputs)) if history else None
-        last, sums, highest = totals = np.empty((3, n_outputs))
+        last, sums, highest = np.empty((3, n_outputs))
         counts = (ctypes.c_long * 2)()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
             n, *map(address, (samples.dt, samples.v, samples.grade, samples.key_on)),
             0 if distance is None else len(distance), *map(address, (distance, grade, parameters)),
-            state is not None, *map(address, (x, rows, *totals)), MODES.index(mode), counts,
+            state is not None, *map(address, (x, rows, last, sums, highest)), MODES.index(mode), counts,
         )  # fmt: skip
         if done < n:
             raise _lost(self.step.name, samples, done, self.step.output_index, None if history else sums)
-        if rows is not None and not np.isfinite(sums).all():
-            raise _not_finite(self.step.name, self.step.output_index, samples, rows, sums)
-        return March(rows, last, sums, highest, x, *counts)
+
+        def total() -> tuple[Array, Array, Array]:
+            if rows is not None:
+                self._library.hs_total(n, *map(address, (samples.dt, rows, sums, highest)))
+                if not np.isfinite(sums).all():
+                    raise _not_finite(self.step.name, self.step.output_index, samples, rows, sums)
+                last[:] = rows[-1] if n else 0.0
+            return last, sums, highest
+
+        return March(rows, total, x, *counts)
 
 
 class InterpretedStep:
@@ -263,6 +293,9 @@ class InterpretedStep:
                 x, rows[k] = self(x, np.array([v, grade, key_on, dt, 0.0]), parameters)
             except SolveError:
                 raise _lost(self.step.name, samples, k) from None
-        last = rows[-1] if len(rows) else np.zeros(rows.shape[1])
-        sums = integrals(self.step.name, self.step.output_index, samples, rows)
-        return March(rows, last, sums, np.max(rows, axis=0, initial=-np.inf), x, len(rows))
+
+        def total() -> tuple[Array, Array, Array]:
+            last = rows[-1] if len(rows) else np.zeros(rows.shape[1])
+            return last, integrals(self.step.name, self.step.output_index, samples, rows), np.max(rows, axis=0, initial=-np.inf)
+
+        return March(rows, total, x, len(rows))

@@ -197,7 +197,7 @@ static void advance(trial *t, double *now, double *next, double *y, int mode) {
 }
 
 /* March `n` steps from the state `x`, or where not `started` from the start state; `x` becomes the last state.  `history`
-   holds n rows of outputs, or is null; `last` gets the last row, `sums` the time integrals and `highest` the maxima of all outputs.
+   holds n rows of outputs; where it is null, `last` gets the last row, `sums` the time integrals and `highest` the maxima of all outputs.
    Returns the number of steps done; less than n if a number was lost, among the outputs only where they are not kept.  `counts` gets
    the number of calls of the step, and of searches without success. */
 HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
@@ -210,7 +210,7 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
   if (!started) hs_start(p, x);
   t.failed = hs_prepare(p, q) | hs_lost(x, HS_NX);
   for (int i = 0; i < HS_NX; ++i) now[i] = x[i];
-  for (int i = 0; i < HS_NY; ++i) { last[i] = sums[i] = 0; highest[i] = -HUGE_VAL; }
+  for (int i = 0; !history && i < HS_NY; ++i) { last[i] = sums[i] = 0; highest[i] = -HUGE_VAL; }
   for (k = 0; k < n; ++k) {
     double *y = history ? history + k * HS_NY : rows + (k - totalled) * HS_NY;
     u[1] = n_grade ? grade_at(now[HS_X_DISTANCE], n_grade, grade_distance, grade_value) : grade[k];
@@ -223,19 +223,25 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     const int filled = k + 1 == totalled + HS_ROWS || k + 1 == n;
     if (filled) t.failed |= hs_lost(next, HS_NX);
     if (t.failed) break;
-    if (filled) {
+    if (filled && !history) {
       const long count = k + 1 - totalled;
       total(count, y - (count - 1) * HS_NY, dt + totalled, sums, highest);
-      if (!history && hs_lost(sums, HS_NY)) break;
-      totalled = k + 1;
-      if (totalled == n) for (int i = 0; i < HS_NY; ++i) last[i] = y[i];
+      if (hs_lost(sums, HS_NY)) break;
+      if (k + 1 == n) for (int i = 0; i < HS_NY; ++i) last[i] = y[i];
     }
+    if (filled) totalled = k + 1;
     double *swap = now; now = next; next = swap;
   }
   for (int i = 0; i < HS_NX; ++i) x[i] = now[i];
   counts[0] = t.evaluations;
   counts[1] = t.unsolved;
   return k;
+}
+
+/* Total a history: `sums` and `highest` get the time integrals and the maxima of all outputs. */
+HS_EXPORT void hs_total(long n, const double *dt, const double *history, double *sums, double *highest) {
+  for (int i = 0; i < HS_NY; ++i) { sums[i] = 0; highest[i] = -HUGE_VAL; }
+  total(n, history, dt, sums, highest);
 }
 
 HS_EXPORT int hs_one(const double *x, const double *u, const double *p, double *xn, double *y) { return hs_step(x, u, p, xn, y); }

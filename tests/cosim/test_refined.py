@@ -1,5 +1,6 @@
 """The search of the refined mode: the end speed nearest to the request that is reached when it is asked for."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -80,7 +81,7 @@ def test_steps_without_a_reachable_speed_are_counted_and_said(monkeypatch):
     def some_lost(*args, **options):
         done = march(*args, **options)
         assert done.unsolved == 0
-        return done._replace(unsolved=3)
+        return replace(done, unsolved=3)
 
     monkeypatch.setattr(type(compiled), "march", some_lost)
     assert any("3 steps reach no speed at all" in w for w in run(vehicle_of(ELECTRIC), acceleration_cycle(), mode="refined").warnings)
