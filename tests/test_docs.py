@@ -40,7 +40,7 @@ def anchor(heading):
     return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.strip().lower()))
 
 
-@pytest.mark.parametrize(("name", "least"), [("tutorial", 11), ("cycles", 3), ("compare", 3), ("sweeps", 5), ("autosize", 5)])
+@pytest.mark.parametrize(("name", "least"), [("tutorial", 11), ("cycles", 3), ("compare", 3), ("sweeps", 5), ("autosize", 5), ("tests", 5)])
 def test_page_runs_from_top_to_bottom(name, least, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = DOCS / f"{name}.md"
@@ -49,13 +49,6 @@ def test_page_runs_from_top_to_bottom(name, least, tmp_path, monkeypatch):
     assert len(found) >= least
     for block in found:
         exec(compile(block, str(page), "exec"), space)
-
-
-def test_page_of_tests_runs_from_top_to_bottom(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    space = {"__name__": "tests"}
-    for block in blocks(DOCS / "tests.md", "python"):
-        exec(compile(block, "tests.md", "exec"), space)
 
 
 def test_example_of_the_readme_runs(tmp_path, monkeypatch):
