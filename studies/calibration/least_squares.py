@@ -390,9 +390,10 @@ class _Directions(NamedTuple):
         known = [(u, value) for u, value, free in zip(unknowns, x, self.free, strict=True) if free]
         told = [f"{u.name} changes nothing that was measured" for (u, _), n in zip(known, self.lengths, strict=True) if n == _NOTHING]
         alive = [i for i, n in enumerate(self.lengths) if n < _NOTHING]
-        # Open is a direction in which a parameter may go through all of its range, from one end of the interval to the other.
-        ranges = quantile(math.inf) * np.abs(self.right) / np.maximum(self.singular, 1e-300)[:, None] / self.lengths
-        rank = int(np.sum(self.told & (ranges.max(axis=1, initial=0.0) <= 0.5)))
+        # Open is a direction that adds most to an interval as wide as the range of its parameter.
+        half = quantile(math.inf) * np.abs(self.right[self.told]) / self.singular[self.told, None] / self.lengths
+        wide = np.linalg.norm(half, axis=0) > 0.5
+        rank = int(np.sum(self.told)) - len({int(np.argmax(half[:, i])) for i in np.flatnonzero(wide)})
         _, R, order = qr(self.columns[:, alive], mode="economic", pivoting=True) if alive else (None, np.empty((0, 0)), [])
         weights = np.linalg.solve(R[:rank, :rank], R[:rank, rank:]) if rank else np.zeros((0, len(alive)))
         for k in range(rank, len(alive)):
