@@ -191,7 +191,7 @@ def _columns(
             columns.append(Column(place, title.strip(), *other))
             continue
         found = other or _quantity(plain, known)
-        if others and not other and not _titled(plain, known):
+        if others and not other and isinstance(found, str) and plain not in {t for q in known.values() for t in q.titles}:
             continue
         if isinstance(found, str):
             problems.append(f"line {line}: column '{title.strip()}' {found}")
@@ -218,14 +218,9 @@ def _plain(title: str) -> str:
     return ALIASES.get(plain, plain)
 
 
-def _titled(plain: str, known: Mapping[str, Quantity]) -> list[tuple[str, str, Quantity]]:
-    """Return the titles that a column's may begin with, with name and quantity."""
-    return [(title, name, q) for name, q in known.items() for title in q.titles if plain == title or plain.startswith(f"{title}_")]
-
-
 def _quantity(plain: str, known: Mapping[str, Quantity]) -> tuple[str, float] | str:
     """Return name and factor of a column, or what is wrong with its title."""
-    titled = _titled(plain, known)
+    titled = [(title, name, q) for name, q in known.items() for title in q.titles if plain == title or plain.startswith(f"{title}_")]
     if not titled:
         near = nearest(plain, [f"{title}_{unit}" for q in known.values() for title in q.titles for unit in q.units] + ["grade", "key_on"])
         return f"is not known{near or '; if it is none of ' + ', '.join(known) + ', delete it'}"

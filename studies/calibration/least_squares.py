@@ -41,7 +41,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import qr
 from scipy.optimize import least_squares
-from scipy.stats import chi2, norm, t
+from scipy.special import chdtrc, ndtri, stdtrit
 
 from halfshaft.library.base.errors import InputError
 
@@ -211,7 +211,7 @@ class Fit:
             r = self.residuals[self.rows(i)]
             if g.sigma is not None and self.loss == "linear":
                 n = len(r) - self._directions.leverage[self.rows(i)].sum()
-                if n > 0 and chi2.sf(r @ r, n) < DOUBT:
+                if n > 0 and chdtrc(n, r @ r) < DOUBT:
                     told.append(f"{g.name}: residuals are {math.sqrt(r @ r / n):.3g} times as large as the stated uncertainty says")
             noise = np.std(r * self.sigma[self.rows(i)]) > ROUNDING * np.max(np.abs(g.values))
             if noise and len(r) > 10 and (rho := _serial(r)) > max(CORRELATED, 3 / math.sqrt(len(r))):
@@ -301,7 +301,7 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
 
 def quantile(dof: float) -> float:
     """Return by how many standard uncertainties an interval reaches to each side."""
-    return float(norm.ppf((1 + CONFIDENCE) / 2) if math.isinf(dof) else t.ppf((1 + CONFIDENCE) / 2, dof))
+    return float(ndtri((1 + CONFIDENCE) / 2) if math.isinf(dof) else stdtrit(dof, (1 + CONFIDENCE) / 2))
 
 
 def _found_sigma(

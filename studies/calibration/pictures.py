@@ -16,6 +16,7 @@ from halfshaft.library.base.errors import InputError
 from halfshaft.library.files.writing import written_whole
 
 if TYPE_CHECKING:
+    from halfshaft.studies.calibration.calibrate import Calibration
     from halfshaft.studies.calibration.coast_down import CoastedDown
     from halfshaft.studies.calibration.road_load import RoadLoad, Shaped
 
@@ -97,6 +98,52 @@ def plot_coast_down(found: CoastedDown, *, path: str | Path | None = None) -> Pi
     return figure
 
 
+def plot_calibration(found: Calibration, *, path: str | Path | None = None) -> Picture:
+    """Draw each series: what was measured, what was predicted before and after, and residuals, drive by drive.
+
+    Parameters
+    ----------
+    found
+        What a calibration found.
+    path
+        A PNG, SVG or PDF file to write, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    """
+    series = [(record.name, p) for record, of in zip(found.records, found.predicted, strict=True) for p in of]
+    said = [f"{row[0]} {row[2]} ({row[3]})" for row in found.rows()[:3]]
+    heights = [1.5, 0.8] * len(series)
+    with _panels(path, found.base.name, said, heights, apart=range(2, len(heights), 2), head=1.25) as (figure, axes):
+        for i, (name, p) in enumerate(series):
+            top, low, rows = axes[2 * i], axes[2 * i + 1], found.fit.rows(i)
+            factor, unit = _seen(found.matched[i].unit)
+            measured, before, after = (factor * x[rows] for x in (found.fit.measured, found.fit.before, found.fit.after))
+            top.plot(p.time, measured, ".", color=COLOURS[0], ms=2.2, mew=0, alpha=0.55, label="measured")
+            top.plot(p.time, before, color=COLOURS[3], lw=0.8, label="before")
+            top.plot(p.time, after, color=COLOURS[1], lw=0.9, label="fitted")
+            top.set_ylabel(f"[{unit}]")
+            top.tick_params(labelbottom=False)
+            title = f"{name}: {p.output.name}" if len(found.records) > 1 else p.output.name
+            top.text(0.0, 1.03, title, transform=top.transAxes, va="bottom", color=INK)
+            low.axhline(0, color=LINE, lw=0.8)
+            low.plot(p.time, measured - before, ".", color=COLOURS[3], ms=1.6, mew=0, alpha=0.6)
+            low.plot(p.time, measured - after, ".", color=COLOURS[1], ms=2.2, mew=0)
+            low.set_ylabel("residual")
+        axes[0].legend(frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, fontsize=8, markerscale=3)
+        axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _seen(unit: str) -> tuple[float, str]:
+    """Return factor and unit in which a series is drawn."""
+    known = {"W": (1e-3, "kW"), "W.s": (1 / 3.6e6, "kWh"), "m/s": (3.6, "km/h"), "kg/s": (1e3, "g/s"), "1": (100.0, "%")}
+    return known.get(unit, (1.0, unit))
+
+
 def _force(ax: Axes, load: RoadLoad) -> None:
     v = np.linspace(*load.v, 101)
     F, half = load.force(v), load.half_width(v)
@@ -110,18 +157,18 @@ def _force(ax: Axes, load: RoadLoad) -> None:
 
 @contextmanager
 def _panels(
-    path: str | Path | None, title: str, said: Sequence[str], heights: Sequence[float], apart: Sequence[int] = ()
+    path: str | Path | None, title: str, said: Sequence[str], heights: Sequence[float], apart: Sequence[int] = (), head: float = _HEAD
 ) -> Iterator[tuple[Picture, list[Axes]]]:
     """Yield a figure with panels below each other under a head, those of `apart` with an axis before them; it is written at the end."""
     if path is not None and (problems := plot_problems(Path(path))):
         raise InputError(str(path), problems)
     gaps = [0.0 if i == 0 else _FOOT if i in apart else _ROOM for i in range(len(heights))]
-    height = _HEAD + sum(heights) + sum(gaps) + _FOOT
+    height = head + sum(heights) + sum(gaps) + _FOOT
     with mpl.rc_context(STYLE):
         figure = Picture(figsize=(_WIDTH, height))
         figure.text(_LEFT / _WIDTH, 1 - 0.34 / height, title, fontsize=14, fontweight="bold", va="baseline", color=INK)
         figure.text(_LEFT / _WIDTH, 1 - 0.57 / height, "   \u00b7   ".join(filter(None, said)), va="baseline", color=SOFT)
-        y, axes = height - _HEAD + 0.2, []
+        y, axes = height - head + 0.2, []
         for gap, high in zip(gaps, heights, strict=True):
             y -= high + gap
             axes.append(figure.add_axes((_LEFT / _WIDTH, y / height, (_WIDTH - _LEFT - _RIGHT) / _WIDTH, high / height)))
