@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 #: Between what a number may lie: a text such as ``0.2..0.5`` or ``50..100 kW``, a pair in SI, or nothing for its own bounds.
 Bounds: TypeAlias = str | tuple[float, float] | None
-_RANGE = re.compile(r"\s*([^.\s](?:[^.]|\.(?!\.))*?)\s*\.\.\s*(.+?)\s*")
 _NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")
 #: What the columns of the tables are.
 FOUND = ("number", "before", "found", "95 % interval", "unit")
@@ -177,7 +176,9 @@ def calibrate(
 
     """
     records = (records,) if isinstance(records, Record) else tuple(records)
-    problems = not_a(Vehicle, vehicle=vehicle)
+    problems = not_a(Vehicle, vehicle=vehicle) + [problem for record in records for problem in not_a(Record, record=record)]
+    if problems:
+        raise InputError("calibrate", problems)
     if not records:
         problems.append("has no record")
     if mode not in MODES:
@@ -186,8 +187,6 @@ def calibrate(
         problems.append(f"dt = {dt!r} s, must be a number > 0 s")
     if loss not in get_args(Loss):
         problems.append(f"loss = {loss!r}, must be one of {', '.join(get_args(Loss))}{nearest(str(loss), get_args(Loss))}")
-    if problems:
-        raise InputError("calibrate", problems)
     ranges = dict(unknowns) if isinstance(unknowns, Mapping) else dict.fromkeys(unknowns)
     wanted = _unknowns(vehicle, ranges, problems)
     outputs = {d.name: d for d in stepper_of(vehicle).step.outputs}
@@ -201,8 +200,7 @@ def calibrate(
                 cars.append(vehicle.with_values(record.values) if record.values else vehicle)
             except InputError as error:
                 wrong += [f"record {record.name}: {p}" for p in error.problems]
-            samples = record.cycle.sampled(dt)
-            ends = np.append(record.cycle.time[0], samples.t)
+            ends = np.append(record.cycle.time[0], record.cycle.sampled(dt if 0 < number(dt) < np.inf else 1.0).t)
             here: list[str] = []
             found = [
                 Predicted(s, outputs[s.output], density_of(vehicle, s.output), ends, here) for s in record.series if s.output in outputs
@@ -269,9 +267,8 @@ def _bounds(name: str, given: Any, spec: Spec, problems: list[str]) -> tuple[flo
     if given is None:
         return own
     if isinstance(given, str):
-        match = _RANGE.fullmatch(given)
-        ends: Any = match.groups() if match else ()
-        if match and _NUMBER.fullmatch(ends[0]) and (unit := _NUMBER.sub("", ends[1], count=1).strip()):
+        ends: Any = [end.strip() for end in given.split("..", 1)]
+        if len(ends) == 2 and _NUMBER.fullmatch(ends[0]) and (unit := _NUMBER.sub("", ends[1], count=1).strip()):
             # A unit at the end counts for both.
             ends = (f"{ends[0]} {unit}", ends[1])
     else:

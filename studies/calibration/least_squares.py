@@ -35,7 +35,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +68,8 @@ ROUNDING = 1e-7
 ALONE, SLIGHT = 0.3, 0.05
 #: A parameter this near to a bound, over its scale, stands at it.
 AT_BOUND = 1e-6
+#: Where half the sum of squares should still fall by more than this but does not, there is a jump; it is passed at most so often.
+AT_JUMP, HOPS = 0.02, 6
 #: Stated uncertainties are doubted if such residuals are rarer than this; independence from this correlation with the next row on.
 DOUBT, CORRELATED = 1e-3, 0.3
 
@@ -113,6 +115,8 @@ class Fit:
         How often the model was evaluated.
     converged
         Whether the fit ended by itself.
+    left
+        By how much, by the derivatives, half the sum of squares could still fall: more than 0 where the fit ended at a jump of the model.
 
     """
 
@@ -126,6 +130,7 @@ class Fit:
     jacobian: Array
     evaluations: int
     converged: bool
+    left: float = 0.0
 
     @cached_property
     def measured(self) -> Array:
@@ -205,6 +210,11 @@ class Fit:
         told = []
         if not self.converged:
             told.append("the fit did not end by itself: its values are the best so far")
+        if self.left > AT_JUMP:
+            told.append(
+                "the fit ended at a jump of the model, such as a gear or an engine that switches a step later: what is found may not be the"
+                " best, and intervals do not count the jump"
+            )
         told += [f"{u.name} stands at its {bound}est allowed value, {u.low if bound == 'low' else u.high:g}, and has no interval"
                  for u, bound in zip(self.unknowns, self.at_bound, strict=True) if bound]  # fmt: skip
         for i, g in enumerate(self.groups):
@@ -270,12 +280,14 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
     for g, rows in zip(groups, places, strict=True):
         off = before[rows] - g.values
         sigma[rows] = g.sigma if g.sigma is not None else math.sqrt(off @ off / len(off)) or 1.0
-    bounds, u, ended = ((low - start) / scale, (high - start) / scale), np.zeros(p), False
-    for _ in range(ROUNDS):
-        done = least_squares(
-            lambda u, s=sigma: (at(u)[0] - measured) / s,
+    bounds, u, ended, left = ((low - start) / scale, (high - start) / scale), np.zeros(p), False, 0.0
+
+    def descended(u: Array, s: Array) -> Any:
+        """Return where the solver ends that starts at a place."""
+        return least_squares(
+            lambda u: (at(u)[0] - measured) / s,
             u,
-            lambda u, s=sigma: at(u)[1] * scale / s[:, None],
+            lambda u: at(u)[1] * scale / s[:, None],
             bounds=bounds,
             x_scale="jac",
             loss=loss,
@@ -285,7 +297,19 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
             gtol=1e-12,
             max_nfev=MOST,
         )
-        u, ended = done.x, done.status > 0
+
+    for _ in range(ROUNDS):
+        best = done = descended(u, sigma)
+        step, left = _step(best, bounds)
+        for _ in range(HOPS):
+            # At a jump the solver's short steps all lead upward; the whole step of Gauss and Newton may lead past it.
+            if _step(done, bounds)[1] <= AT_JUMP:
+                break
+            done = descended(np.clip(done.x + step, *bounds), sigma)
+            step, now = _step(done, bounds)
+            if done.cost < best.cost:
+                best, left = done, now
+        u, ended = best.x, best.status > 0
         found = _found_sigma(groups, places, *at(u), measured, sigma, scale, loss)
         change = np.max(np.abs(found / sigma - 1))
         sigma = found
@@ -296,7 +320,21 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
     u = np.where(x - low <= AT_BOUND * scale, (low - start) / scale, np.where(high - x <= AT_BOUND * scale, (high - start) / scale, u))
     x = np.clip(start + u * scale, low, high)
     after, jacobian = at(u)
-    return Fit(tuple(unknowns), tuple(groups), loss, x, sigma, before, after, jacobian, evaluations, bool(ended))
+    return Fit(tuple(unknowns), tuple(groups), loss, x, sigma, before, after, jacobian, evaluations, bool(ended), left)
+
+
+def _step(done: Any, bounds: tuple[Array, Array]) -> tuple[Array, float]:
+    """Return the step of Gauss and Newton from where a solver ended, and by how much it says that half the sum of squares would fall."""
+    low, high = bounds
+    held = ((done.x - low <= AT_BOUND) & (done.grad > 0)) | ((high - done.x <= AT_BOUND) & (done.grad < 0))
+    lengths = np.linalg.norm(done.jac, axis=0)
+    free = ~held & (lengths > 1e-12 * lengths.max(initial=0.0))
+    step = np.zeros(len(held))
+    _, singular, right = np.linalg.svd(done.jac[:, free] / lengths[free], full_matrices=False)
+    told = singular > ROUNDING * singular.max(initial=1.0)
+    along = right[told] @ (done.grad[free] / lengths[free]) / singular[told]
+    step[free] = -(right[told].T @ (along / singular[told])) / lengths[free]
+    return step, float(along @ along) / 2
 
 
 def quantile(dof: float) -> float:

@@ -115,14 +115,14 @@ def plot_calibration(found: Calibration, *, path: str | Path | None = None) -> P
 
     """
     series = [(record.name, p) for record, of in zip(found.records, found.predicted, strict=True) for p in of]
-    said = [f"{row[0]} {row[2]} ({row[3]})" for row in found.rows()[:3]]
+    said = [f"{row[0]} {row[2]} ({row[3]})" for row in found.rows()[:2]]
     heights = [1.5, 0.8] * len(series)
     with _panels(path, found.base.name, said, heights, apart=range(2, len(heights), 2), head=1.25) as (figure, axes):
         for i, (name, p) in enumerate(series):
             top, low, rows = axes[2 * i], axes[2 * i + 1], found.fit.rows(i)
             factor, unit = _seen(found.matched[i].unit)
             measured, before, after = (factor * x[rows] for x in (found.fit.measured, found.fit.before, found.fit.after))
-            top.plot(p.time, measured, ".", color=COLOURS[0], ms=2.2, mew=0, alpha=0.55, label="measured")
+            top.plot(p.time, measured, ".", color=COLOURS[0], ms=3.2, mew=0, alpha=0.6, zorder=3, label="measured")
             top.plot(p.time, before, color=COLOURS[3], lw=0.8, label="before")
             top.plot(p.time, after, color=COLOURS[1], lw=0.9, label="fitted")
             top.set_ylabel(f"[{unit}]")

@@ -18,13 +18,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.cycle_file import TRACE, read_csv
-from halfshaft.library.base.errors import InputError, nearest, not_a, number
+from halfshaft.library.base.errors import InputError, nearest, number
 from halfshaft.library.base.tags import part_of
 from halfshaft.library.files.component_file import parse_quantity
 from halfshaft.models.assembly import Description
@@ -243,6 +243,7 @@ class Predicted:
         if output.kind != "real":
             problems.append(f"{output.name} is a {output.kind}, whose derivatives are 0: nothing can be fitted to it")
         found = self._scaled(density, problems)
+        how = self._how(found[0], problems) if found is not None else "instant"
         low, high = ends[0], ends[-1]
         if len(series.time) and (series.time[0] < low - 1e-6 or series.time[-1] > high + 1e-6):
             problems.append(
@@ -250,8 +251,7 @@ class Predicted:
             )
         if found is None or len(problems) > before:
             return
-        power, values, sigma = found
-        how = self._how(power, problems)
+        _, values, sigma = found
         time = series.time + reading.offset
         inside = (time >= low - 1e-9) & (time <= high + 1e-9)
         if np.sum(~inside):
@@ -310,11 +310,9 @@ class Predicted:
                 absolute = math.nan
         sigma = np.hypot(absolute, share * values)
         if not (np.all(np.isfinite(sigma)) and np.all(sigma > 0)):
-            hint = (
-                ", which is 0 where 0 was read: add a constant part"
-                if share and not absolute
-                else f", must be > 0, such as '1 {unit}' or '1 {unit} + 2 %'"
-            )
+            one = "0.01" if unit == "1" else f"1 {unit}"
+            zero = share and not absolute
+            hint = ", which is 0 where 0 was read: add a constant part" if zero else f", must be > 0, such as '{one}'"
             problems.append(f"{self.output.name} has the uncertainty {given!r}{hint}")
         return np.asarray(sigma)
 
@@ -371,10 +369,8 @@ def _between(ends: Array, line: Array, time: Array) -> Array:
     return found
 
 
-def problems_of(record: Any, vehicle: Vehicle, outputs: Mapping[str, Description]) -> list[str]:
+def problems_of(record: Record, vehicle: Vehicle, outputs: Mapping[str, Description]) -> list[str]:
     """Return what is wrong with a record for a vehicle."""
-    if problems := not_a(Record, record=record):
-        return problems
     names = [s.output for s in record.series]
     problems = [] if names else [f"record {record.name} has no series"]
     problems += [

@@ -1,0 +1,64 @@
+"""The 95 % intervals of calibrations and coast-downs hold the truth in 90 to 99 % of 200 repeats."""
+
+import numpy as np
+import pytest
+
+from halfshaft import Cycle, Vehicle, run
+from halfshaft.studies.calibration.calibrate import calibrate
+from halfshaft.studies.calibration.coast_down import CoastDown, coast_down
+from halfshaft.studies.calibration.record import Reading, Record, Series
+from halfshaft.studies.calibration.roll_out import rolled
+
+REPEATS = 200
+TRUTH = {"body.c_d": 0.29, "wheel.f_0": 0.0115}
+RANGES = {"body.c_d": "0.2..0.5", "wheel.f_0": "0.004..0.02"}
+POWER, CHARGE, FUEL = {"battery.P_out": 500.0}, {"battery.soc": 1e-3}, {"engine.fuel_flow": 5e-5}
+CARS = {
+    "small-car-electric": (POWER | CHARGE, {"motor.torque_scale": 1.02}, {"motor.torque_scale": "0.8..1.2"}),
+    "small-car-conventional": (FUEL, {"engine.torque_scale": 1.05}, {"engine.torque_scale": "0.8..1.3"}),
+    "small-car-parallel": (FUEL | POWER, {}, {}),
+    "small-car-series": (FUEL | CHARGE, {}, {}),
+    "small-car-fuel-cell": (POWER | {"fuel_cell.fuel_flow": 3e-6}, {}, {}),
+}
+
+
+def contained(inside):
+    """Return the share of repeats whose intervals hold the truth, of each number."""
+    shares = np.mean(inside, axis=0)
+    print(shares)
+    return np.all((shares >= 0.90) & (shares <= 0.99))
+
+
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+@pytest.mark.parametrize("stated", [True, False], ids=["stated", "found"])
+@pytest.mark.parametrize("name", CARS)
+def test_intervals_of_calibrations(name, stated, loss):
+    noises, more, wider = CARS[name]
+    truth, car, cycle = TRUTH | more, Vehicle.load(name), Cycle.load("udds")
+    result = run(car.with_values(truth), cycle)
+    draw, inside = np.random.default_rng(5), []
+    for _ in range(REPEATS):
+        series = tuple(
+            Series(
+                output=output, time=result.time, values=result[output] + noise * draw.normal(size=len(result.time)),
+                reading=Reading(sigma=noise if stated else None),
+            )
+            for output, noise in noises.items()
+        )  # fmt: skip
+        found = calibrate(car, Record(name="drive", cycle=cycle, series=series), RANGES | wider, loss=loss)
+        inside.append([low <= truth[n] <= high for n, (low, high) in found.intervals.items()])
+    assert contained(inside)
+
+
+def test_intervals_of_coast_downs():
+    load, wind, grade, m, turning = np.array([140.0, 1.5, 0.42]), 2.0, 0.003, 1500.0, 45.0
+    draw, time, inside = np.random.default_rng(6), np.arange(0, 90, 0.5), []
+    for _ in range(REPEATS):
+        runs = []
+        for d in (1, -1):
+            own = load[0] + load[2] * wind**2 + d * m * 9.81 * grade, load[1] + 2 * d * load[2] * wind, load[2]
+            speed = rolled(time, 33.0, own, m + turning)[0] + 0.1 * draw.normal(size=len(time))
+            runs.append(CoastDown(name=f"run{d}", time=time, speed=speed, direction=d))
+        found = coast_down(runs, m, rotating=turning, between=(0, 100)).fit.intervals[:5]
+        inside.append([low <= x <= high for x, (low, high) in zip((*load, wind, grade), found, strict=True)])
+    assert contained(inside)
