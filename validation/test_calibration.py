@@ -26,15 +26,15 @@ def contained(inside):
     """Return the share of repeats whose intervals hold the truth, of each number."""
     shares = np.mean(inside, axis=0)
     print(shares)
+    print(shares)
     return np.all((shares >= 0.90) & (shares <= 0.99))
 
 
-@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
-@pytest.mark.parametrize("stated", [True, False], ids=["stated", "found"])
+@pytest.mark.parametrize(("stated", "loss"), [(True, "linear"), (False, "linear"), (False, "soft_l1")])
 @pytest.mark.parametrize("name", CARS)
 def test_intervals_of_calibrations(name, stated, loss):
     noises, more, wider = CARS[name]
-    truth, car, cycle = TRUTH | more, Vehicle.load(name), Cycle.load("udds")
+    truth, car, cycle = TRUTH | more, Vehicle.load(name), Cycle.load("udds").between(0, 505)
     result = run(car.with_values(truth), cycle)
     draw, inside = np.random.default_rng(5), []
     for _ in range(REPEATS):

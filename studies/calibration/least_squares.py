@@ -68,8 +68,9 @@ ROUNDING = 1e-7
 ALONE, SLIGHT = 0.3, 0.05
 #: A parameter this near to a bound, over its scale, stands at it.
 AT_BOUND = 1e-6
-#: Where half the sum of squares should still fall by more than this but does not, there is a jump; it is passed at most so often.
-AT_JUMP, HOPS = 0.02, 6
+#: Where half the sum of squares should still fall by more than this but does not, there is a jump, which is passed at most so often; it is
+#: told where it holds the fit off by more than a standard uncertainty.
+AT_JUMP, HOPS, HELD_OFF = 0.02, 6, 0.5
 #: Stated uncertainties are doubted if such residuals are rarer than this; independence from this correlation with the next row on.
 DOUBT, CORRELATED = 1e-3, 0.3
 
@@ -210,7 +211,7 @@ class Fit:
         told = []
         if not self.converged:
             told.append("the fit did not end by itself: its values are the best so far")
-        if self.left > AT_JUMP:
+        if self.left > HELD_OFF:
             told.append(
                 "the fit ended at a jump of the model, such as a gear or an engine that switches a step later: what is found may not be the"
                 " best, and intervals do not count the jump"
