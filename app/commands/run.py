@@ -25,7 +25,7 @@ from halfshaft.cosim.ways import Mode, Via
       halfshaft run small-car-power-split --cycle us06 --flows flows.png
       halfshaft run my-car.toml --cycle trip.csv --grade road.csv --out trip.nc
       halfshaft run my-car.toml --cycle us06 --set engine.J="0.2 kg m^2" --json
-      halfshaft run small-car-series --cycle udds --gradient body.c_d --gradient motor.torque_scale
+      halfshaft run small-car-series --cycle udds --gradient body.c_d
     """,
 )
 def _run(
