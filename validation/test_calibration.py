@@ -6,6 +6,7 @@ import pytest
 from halfshaft import Cycle, Vehicle, run
 from halfshaft.studies.calibration.calibrate import calibrate
 from halfshaft.studies.calibration.coast_down import CoastDown, coast_down
+from halfshaft.studies.calibration.least_squares import Loss
 from halfshaft.studies.calibration.record import Reading, Record, Series
 from halfshaft.studies.calibration.roll_out import rolled
 
@@ -13,7 +14,7 @@ REPEATS = 200
 TRUTH = {"body.c_d": 0.29, "wheel.f_0": 0.0115}
 RANGES = {"body.c_d": "0.2..0.5", "wheel.f_0": "0.004..0.02"}
 POWER, CHARGE, FUEL = {"battery.P_out": 500.0}, {"battery.soc": 1e-3}, {"engine.fuel_flow": 5e-5}
-CARS = {
+CARS: dict[str, tuple[dict[str, float], dict[str, float], dict[str, str]]] = {
     "small-car-electric": (POWER | CHARGE, {"motor.torque_scale": 1.02}, {"motor.torque_scale": "0.8..1.2"}),
     "small-car-conventional": (FUEL, {"engine.torque_scale": 1.05}, {"engine.torque_scale": "0.8..1.3"}),
     "small-car-parallel": (FUEL | POWER, {}, {}),
@@ -22,21 +23,19 @@ CARS = {
 }
 
 
-def contained(inside):
-    """Return the share of repeats whose intervals hold the truth, of each number."""
+def check(inside: list[list[bool]]) -> None:
+    """Check in what share of the repeats the interval of each number holds the truth."""
     shares = np.mean(inside, axis=0)
-    print(shares)
-    print(shares)
-    return np.all((shares >= 0.90) & (shares <= 0.99))
+    assert np.all((shares >= 0.90) & (shares <= 0.99)), shares
 
 
 @pytest.mark.parametrize(("stated", "loss"), [(True, "linear"), (False, "linear"), (False, "soft_l1")])
 @pytest.mark.parametrize("name", CARS)
-def test_intervals_of_calibrations(name, stated, loss):
+def test_intervals_of_calibrations(name: str, stated: bool, loss: Loss) -> None:
     noises, more, wider = CARS[name]
     truth, car, cycle = TRUTH | more, Vehicle.load(name), Cycle.load("udds").between(0, 505)
     result = run(car.with_values(truth), cycle)
-    draw, inside = np.random.default_rng(5), []
+    draw, inside = np.random.default_rng(5), list[list[bool]]()
     for _ in range(REPEATS):
         series = tuple(
             Series(
@@ -47,12 +46,12 @@ def test_intervals_of_calibrations(name, stated, loss):
         )  # fmt: skip
         found = calibrate(car, Record(name="drive", cycle=cycle, series=series), RANGES | wider, loss=loss)
         inside.append([low <= truth[n] <= high for n, (low, high) in found.intervals.items()])
-    assert contained(inside)
+    check(inside)
 
 
-def test_intervals_of_coast_downs():
+def test_intervals_of_coast_downs() -> None:
     load, wind, grade, m, turning = np.array([140.0, 1.5, 0.42]), 2.0, 0.003, 1500.0, 45.0
-    draw, time, inside = np.random.default_rng(6), np.arange(0, 90, 0.5), []
+    draw, time, inside = np.random.default_rng(6), np.arange(0, 90, 0.5), list[list[bool]]()
     for _ in range(REPEATS):
         runs = []
         for d in (1, -1):
@@ -61,4 +60,4 @@ def test_intervals_of_coast_downs():
             runs.append(CoastDown(name=f"run{d}", time=time, speed=speed, direction=d))
         found = coast_down(runs, m, rotating=turning, between=(0, 100)).fit.intervals[:5]
         inside.append([low <= x <= high for x, (low, high) in zip((*load, wind, grade), found, strict=True)])
-    assert contained(inside)
+    check(inside)

@@ -13,7 +13,7 @@ from rich.markup import escape
 from halfshaft.app.options import Checks, Json
 from halfshaft.app.output import console, new_table, print_json, print_line, print_written
 from halfshaft.app.program import app
-from halfshaft.library.base.errors import InputError
+from halfshaft.library.base.errors import InputError, number
 
 if TYPE_CHECKING:
     from halfshaft.studies.calibration.coast_down import CoastedDown
@@ -95,9 +95,8 @@ def _road_load(
         told = coast_down([run for run in found if run is not None], mass or 0.0, **options)
         load = told.load
     else:
-        load = checks.done(
-            checks.take(lambda: RoadLoad.of_pounds(*numbers, weight or 0.0, f"target coefficients {target} at {weight:g} lb"))
-        )  # type: ignore[arg-type]
+        A, B, C = (number(x) for x in numbers)
+        load = RoadLoad.of_pounds(A, B, C, number(weight), f"target coefficients {target} at {weight:g} lb")
     shaped = None if car is None or not shape else load.by_shape(car, fit or ())
     changed = shaped.vehicle if shaped is not None else None if car is None else load.exactly(car)
     if out is not None and changed is not None:

@@ -406,7 +406,7 @@ class _Directions(NamedTuple):
     @property
     def told(self) -> npt.NDArray[np.bool_]:
         """Which directions the data tell anything of."""
-        return self.singular > ROUNDING * self.singular.max(initial=1.0)
+        return np.asarray(self.singular > ROUNDING * self.singular.max(initial=1.0))
 
     @property
     def leverage(self) -> Array:

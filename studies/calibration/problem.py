@@ -88,7 +88,7 @@ class _Reader(Reader):
                 car = car.with_values(data["set"])
             except InputError as error:
                 self.problems.extend(f"set.{p}" for p in error.problems)
-        options = {name: data[name] for name in ("loss", "mode") if name in data}
+        options: dict[str, Any] = {name: data[name] for name in ("loss", "mode") if name in data}
         if "dt" in data:
             options["dt"] = self.number(data["dt"], _SECONDS, "dt")
         records = [self.record(x, f"drives[{i}]") for i, x in enumerate(data.get("drives", ()), 1)]

@@ -310,9 +310,8 @@ class Predicted:
                 absolute = math.nan
         sigma = np.hypot(absolute, share * values)
         if not (np.all(np.isfinite(sigma)) and np.all(sigma > 0)):
-            one = "0.01" if unit == "1" else f"1 {unit}"
-            zero = share and not absolute
-            hint = ", which is 0 where 0 was read: add a constant part" if zero else f", must be > 0, such as '{one}'"
+            least = "0.01" if unit == "1" else f"1 {unit}"
+            hint = ", which is 0 where 0 was read: add a constant part" if share and not absolute else f", must be > 0, such as '{least}'"
             problems.append(f"{self.output.name} has the uncertainty {given!r}{hint}")
         return np.asarray(sigma)
 

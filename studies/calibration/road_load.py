@@ -110,8 +110,8 @@ class RoadLoad:
     @classmethod
     def of_pounds(cls, A: float, B: float, C: float, weight: float, source: str = "target coefficients") -> RoadLoad:
         """Return a road load of target coefficients in lbf, lbf/mph and lbf/mph^2 and an equivalent test weight in lb."""
-        given = {name: number(x) * POUNDS[name] for name, x in (("A", A), ("B", B), ("C", C))}
-        return cls(**given, m=number(weight) * KG_PER_POUND, source=source)
+        A, B, C = (number(x) * POUNDS[name] for name, x in (("A", A), ("B", B), ("C", C)))
+        return cls(A=A, B=B, C=C, m=number(weight) * KG_PER_POUND, source=source)
 
     @property
     def coefficients(self) -> tuple[float, float, float]:
@@ -287,8 +287,8 @@ def _model(vehicle: Vehicle, names: Sequence[str], speeds: Array) -> Model:
     parts = {}
     for role, component in vehicle.components().items():
         if isinstance(component, Body | Rolling):
-            own = {name.partition(".")[2]: symbol for name, symbol in symbols.items() if part_of(name) == role}
-            parts[role] = replace(component, p=replace(component.p, **own))  # type: ignore[type-var, attr-defined]
+            own: dict[str, Any] = {name.partition(".")[2]: symbol for name, symbol in symbols.items() if part_of(name) == role}
+            parts[role] = replace(component, p=replace(component.p, **own))
     body = next(part for part in parts.values() if isinstance(part, Body))
     wheel = next(part for part in parts.values() if isinstance(part, Rolling))
     v = ca.SX.sym("v")
