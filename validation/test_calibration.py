@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from halfshaft import Cycle, Vehicle, run
+from halfshaft.cosim.cycle import Cycle
+from halfshaft.cosim.simulate import run
+from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.calibration.calibrate import calibrate
 from halfshaft.studies.calibration.coast_down import CoastDown, coast_down
 from halfshaft.studies.calibration.least_squares import Loss
@@ -26,6 +28,7 @@ CARS: dict[str, tuple[dict[str, float], dict[str, float], dict[str, str]]] = {
 def check(inside: list[list[bool]]) -> None:
     """Check in what share of the repeats the interval of each number holds the truth."""
     shares = np.mean(inside, axis=0)
+    print(shares)
     assert np.all((shares >= 0.90) & (shares <= 0.99)), shares
 
 

@@ -54,7 +54,7 @@ LOSSES: dict[Loss, float] = {"linear": 1.0, "soft_l1": 1.287, "huber": 1.345, "c
 #: Share of the truth that an interval is to contain.
 CONFIDENCE = 0.95
 #: Fit and estimated uncertainties agree when these change by less than this share; most rounds of both.
-SETTLED, ROUNDS = 1e-4, 30
+SETTLED, ROUNDS = 1e-3, 30
 #: Fewer rows than these do not tell their own uncertainty.
 FEWEST = 3
 #: Most evaluations of the model in one round.
@@ -299,22 +299,31 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
             max_nfev=MOST,
         )
 
-    for _ in range(ROUNDS):
-        best = done = descended(u, sigma)
-        step, left = _step(best, bounds)
+    def beyond(done: Any, s: Array) -> tuple[Any, float]:
+        """Return the best of where the solver ended and where it ends beyond jumps, and by how much the sum should fall from there."""
+        step, left = _step(done, bounds)
+        best, least = done, left
         for _ in range(HOPS):
             # At a jump the solver's short steps all lead upward; the whole step of Gauss and Newton may lead past it.
-            if _step(done, bounds)[1] <= AT_JUMP:
+            if left <= AT_JUMP:
                 break
-            done = descended(np.clip(done.x + step, *bounds), sigma)
-            step, now = _step(done, bounds)
+            done = descended(np.clip(done.x + step, *bounds), s)
+            step, left = _step(done, bounds)
             if done.cost < best.cost:
-                best, left = done, now
-        u, ended = best.x, best.status > 0
-        found = _found_sigma(groups, places, *at(u), measured, sigma, scale, loss)
-        change = np.max(np.abs(found / sigma - 1))
-        sigma = found
-        if change < SETTLED:
+                best, least = done, left
+        return best, least
+
+    def change(old: Array, new: Array) -> float:
+        return float(np.max(np.abs(new / old - 1)))
+
+    for _ in range(ROUNDS):
+        done = descended(u, sigma)
+        found = _found_sigma(groups, places, *at(done.x), measured, sigma, scale, loss)
+        if change(sigma, found) < SETTLED:
+            done, left = beyond(done, sigma)
+            found = _found_sigma(groups, places, *at(done.x), measured, sigma, scale, loss)
+        u, ended, sigma, before_that = done.x, done.status > 0, found, sigma
+        if change(before_that, sigma) < SETTLED:
             break
     # The solver stays inside of bounds: what it brought to one is at it.
     x = np.clip(start + u * scale, low, high)
