@@ -28,7 +28,7 @@ A file holds ``schema``, ``kind = "calibration"``, ``name``, ``title`` and::
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +129,6 @@ class _Reader(Reader):
         if not isinstance(data, dict):
             self.problems.append(f"{where} = {shown(data)}, must be a table with column, sigma, how or offset")
             return Reading()
-        self.keys(data, Reading._fields, f"{where}.")
+        self.keys(data, [f.name for f in fields(Reading)], f"{where}.")
         offset = self.number(data["offset"], _SECONDS, f"{where}.offset") if "offset" in data else 0.0
         return Reading(str(data.get("column", "")), data.get("sigma"), data.get("how"), offset)

@@ -18,7 +18,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -40,7 +40,8 @@ _OUTPUT = re.compile(r"\w+\.\w+")
 NAMED = 5
 
 
-class Reading(NamedTuple):
+@dataclass(frozen=True)
+class Reading:
     """How one output was measured.
 
     Parameters

@@ -125,7 +125,7 @@ class RoadLoad:
         return A, B, C
 
     def force(self, v: Any) -> Any:
-        """Return the force at speeds [m/s] [N]."""
+        """Return the force [N] at speeds [m/s]."""
         return self.A + self.B * v + self.C * v**2
 
     @property
