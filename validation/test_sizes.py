@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from halfshaft.validation.sizes import CARS, CURVE, sized
@@ -19,7 +21,7 @@ def test_engine_and_modules_are_near_the_published_ones(name: str, modules: int)
 
 def test_the_engine_gives_way_to_battery_and_motor_as_hybridisation_grows() -> None:
     curve = [sized("parallel", hybridisation=h).vehicle.values for h in CURVE]
-    for a, b in zip(curve, curve[1:], strict=False):
+    for a, b in pairwise(curve):
         assert a["engine.torque_scale"] > b["engine.torque_scale"]
         assert a["battery.n_modules"] <= b["battery.n_modules"]
         assert a["motor.torque_scale"] < b["motor.torque_scale"]
