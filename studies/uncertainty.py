@@ -5,8 +5,9 @@ draws.  To first order a figure is a plane through the expected values of the nu
 
     mean = f(E x),    variance = g' S g,    S the covariance of the numbers,
 
-and its distribution is normal.  Which share of the variance a number makes follows from both: to first order
-``g_i (S g)_i / variance``, which adds up to 1; of samples that are drawn for it as Sobol's indices.
+and its distribution is normal.  The gradient of a plain run is exact; that of any other task is taken over a standard deviation.
+Which share of the variance a number makes follows from both: to first order ``g_i (S g)_i / variance``, which adds up to 1; of
+samples that are drawn for it as Sobol's indices.
 """
 
 from __future__ import annotations
@@ -19,15 +20,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from halfshaft.cosim.figures import main_of, unit_of
+from halfshaft.cosim.simulate import run
 from halfshaft.library.base.errors import HalfshaftError, InputError, not_a
 from halfshaft.library.files.notebook import Grid, card
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.design import Design, Given, Sample, design_of
-from halfshaft.studies.distributions import Correlation, covariance
+from halfshaft.studies.distributions import Correlation, Distribution, covariance
 from halfshaft.studies.effects import Constraint, Index, responses_of, sobol_indices
-from halfshaft.studies.figures import main_of, unit_of
 from halfshaft.studies.job import FAILURE
 from halfshaft.studies.sweep import sweep
+from halfshaft.studies.task import Drive
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,7 +43,7 @@ if TYPE_CHECKING:
 INDEPENDENT, DEPENDENT = "saltelli:256", "sobol:1024"
 #: Normal score of the 95th percentile.
 SCORE_95 = 1.6448536269514722
-#: A slope that is not exact is taken over this many standard deviations to either side.
+#: Slopes of what is no plain run are taken over this many standard deviations to either side.
 STEP = 0.5
 
 
@@ -276,33 +279,47 @@ def _slopes(
 ) -> tuple[dict[str, float], dict[str, Array]]:  # fmt: skip
     """Return the figures of the vehicle of the expected values, and the gradient of each over the numbers that are uncertain."""
     spreads = {axis.name: axis.spread for axis in design.axes if axis.spread}
-    mean = {name: spread.mean for name, spread in spreads.items()}
     at_mean: dict[str, float] = {}
     slopes: dict[str, Array] = {}
     for task in tasks:
         prefix = f"{task.name}." if len(tasks) > 1 else ""
         try:
-            value = _numbers(task, vehicle.with_values(mean))
-            ends = [
-                [_numbers(task, vehicle.with_values(mean | {name: mean[name] + way * STEP * spread.sd})) for way in (-1, 1)]
-                for name, spread in spreads.items()
-            ]
+            value, gradient = _exact(task, vehicle, spreads) if isinstance(task, Drive) else _secants(task, vehicle, spreads)
         # A task of the user's own may raise anything; what the samples tell stays.
         except Exception as error:
             kind = "" if isinstance(error, HalfshaftError) else f"{type(error).__name__}: "
             notes.append(f"{task.name}: not known to first order: {kind}{error}")
             continue
-        for name, x in value.items():
-            if all(name in end for pair in ends for end in pair):
-                widths = [2 * STEP * spread.sd for spread in spreads.values()]
-                rises = [above[name] - below[name] for below, above in ends]
-                at_mean[prefix + name], slopes[prefix + name] = x, np.array(rises) / widths
+        at_mean |= {prefix + name: value[name] for name in gradient}
+        slopes |= {prefix + name: g for name, g in gradient.items()}
     return at_mean, slopes
 
 
-def _numbers(task: Task, vehicle: Vehicle) -> dict[str, float]:
+def _exact(task: Drive, vehicle: Vehicle, spreads: Mapping[str, Distribution]) -> tuple[dict[str, float], dict[str, Array]]:
+    """Return the figures of a run at the expected values, and their exact gradients."""
+    mean = {name: spread.mean for name, spread in spreads.items()}
+    found = run(vehicle.with_values(mean), task.cycle, mode=task.mode, dt=task.dt, history=False, gradient=list(mean))
+    value = _known(found.figures)
+    gradient = {name: np.array([of[n] for n in mean]) for name, of in found.gradient.items() if name in value}
+    return value, {name: g for name, g in gradient.items() if np.isfinite(g).all()}
+
+
+def _secants(task: Task, vehicle: Vehicle, spreads: Mapping[str, Distribution]) -> tuple[dict[str, float], dict[str, Array]]:
+    """Return the figures of any task at the expected values, and how they rise over a standard deviation around them."""
+    mean = {name: spread.mean for name, spread in spreads.items()}
+
+    def at(values: Mapping[str, float]) -> dict[str, float]:
+        return _known(task(vehicle.with_values(values)).figures)
+
+    value = at(mean)
+    below, above = ([at(mean | {name: mean[name] + way * STEP * s.sd}) for name, s in spreads.items()] for way in (-1, 1))
+    widths = np.array([2 * STEP * s.sd for s in spreads.values()])
+    everywhere = [name for name in value if all(name in end for end in (*below, *above))]
+    return value, {name: np.array([b[name] - a[name] for a, b in zip(below, above, strict=True)]) / widths for name in everywhere}
+
+
+def _known(figures: Mapping[str, Any]) -> dict[str, float]:
     """Return the figures that a vehicle has."""
-    figures: Mapping[str, Any] = task(vehicle).figures
     return {name: float(x) for name, x in figures.items() if isinstance(x, int | float | np.number) and math.isfinite(x)}
 
 

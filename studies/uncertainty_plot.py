@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from halfshaft.cosim.figures import title_of, unit_of
 from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
 from halfshaft.cosim.units import Edge, edge
 from halfshaft.library.base.errors import InputError
 from halfshaft.library.files.writing import written_whole
-from halfshaft.studies.figures import title_of, unit_of
 
 if TYPE_CHECKING:
     from halfshaft.studies.uncertainty import Uncertain, Uncertainty

@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.autosize import Autosize, Preset, Sized
+from halfshaft.studies.sizes import Kind
 
 SOURCE = "ADVISOR 2003, NREL: ser_def_autosized_in.m, para_def_autosized_in.m"
 #: The source was sized below the 40 kW at which the later routine ends.
-LIMITS = {"source": (5e3, 150e3)}
+LIMITS: Mapping[Kind, tuple[float, float]] = {"source": (5e3, 150e3)}
 #: Factors on the torque of the engine and of the motor, and modules.
 SIZES = ("engine.torque_scale", "battery.n_modules", "motor.torque_scale")
 

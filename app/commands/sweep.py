@@ -77,9 +77,9 @@ def _sweep(
     as_json: Json = False,
 ) -> None:
     from halfshaft.cosim.cycle import Cycle
+    from halfshaft.cosim.figures import main_of
     from halfshaft.studies.design import read_axes
     from halfshaft.studies.effects import Constraint, kind_problems
-    from halfshaft.studies.figures import main_of
     from halfshaft.studies.job import FAILURE
     from halfshaft.studies.soc_correction import Linear, ZeroDelta
     from halfshaft.studies.sweep import sweep, table
