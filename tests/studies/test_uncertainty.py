@@ -256,7 +256,7 @@ def test_a_run_is_sampled_by_the_batch_and_its_first_order_is_near():
     assert of.first_order[:2] == pytest.approx(of.sampled[:2], rel=2e-3)
     h = 1.0
     ends = [run(CAR.with_values({"body.m": 1300 + d, "body.c_d": 0.33}), cycle).figures["energy_Wh_per_km"] for d in (-h, h)]
-    assert of.gradient["body.m"] == pytest.approx((ends[1] - ends[0]) / (2 * h), rel=1e-3)
+    assert of.gradient["body.m"] == pytest.approx((ends[1] - ends[0]) / (2 * h), rel=1e-6)
     assert "energy_Wh_per_km" in found._repr_html_()
 
 
