@@ -28,7 +28,6 @@ CARS: dict[str, tuple[dict[str, float], dict[str, float], dict[str, str]]] = {
 def check(inside: list[list[bool]]) -> None:
     """Check in what share of the repeats the interval of each number holds the truth."""
     shares = np.mean(inside, axis=0)
-    print(shares)
     assert np.all((shares >= 0.90) & (shares <= 0.99)), shares
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from halfshaft.studies.compare import compare
     from halfshaft.studies.pictures import plot_sweep
     from halfshaft.studies.sweep import sweep
+    from halfshaft.studies.uncertainty import uncertainty
 
 __all__ = [
     "Cycle",
@@ -40,6 +41,7 @@ __all__ = [
     "run",
     "run_batch",
     "sweep",
+    "uncertainty",
     "vehicle_names",
 ]
 
@@ -62,6 +64,7 @@ _HOMES = {
     "run": "cosim.simulate",
     "run_batch": "studies.batch",
     "sweep": "studies.sweep",
+    "uncertainty": "studies.uncertainty",
     "vehicle_names": "models.vehicle",
 }
 
