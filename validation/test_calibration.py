@@ -5,7 +5,7 @@ import pytest
 
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
-from halfshaft.models.vehicle import Vehicle
+from halfshaft.models.vehicle import Vehicle, vehicle_names
 from halfshaft.studies.calibration.calibrate import calibrate
 from halfshaft.studies.calibration.coast_down import CoastDown, coast_down
 from halfshaft.studies.calibration.least_squares import Loss
@@ -49,6 +49,19 @@ def test_intervals_of_calibrations(name: str, stated: bool, loss: Loss) -> None:
         found = calibrate(car, Record(name="drive", cycle=cycle, series=series), RANGES | wider, loss=loss)
         inside.append([low <= truth[n] <= high for n, (low, high) in found.intervals.items()])
     check(inside)
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_every_vehicle_of_the_library_is_recovered_from_its_stores(name: str) -> None:
+    """What is left of charge and used of fuel tells drag and mass, if there is no noise."""
+    car, cycle = Vehicle.load(name), Cycle.load("udds").between(0, 505)
+    truth = {"body.c_d": 1.1 * car.values["body.c_d"], "body.m": 1.05 * car.mass}
+    result = run(car.with_values(truth), cycle)
+    outputs = [output for tag in ("charge", "fuel mass") for output in result.tags.all_of(tag)]
+    series = tuple(Series(output=output, time=result.time, values=result[output]) for output in outputs)
+    ranges = {output: (0.8 * x, 1.3 * x) for output, x in truth.items()}
+    found = calibrate(car, Record(name="drive", cycle=cycle, series=series), ranges)
+    assert found.values == pytest.approx(truth, rel=1e-4), found.notes
 
 
 def test_intervals_of_coast_downs() -> None:

@@ -58,6 +58,7 @@ def _calibrate(
     ] = None,
     cycle: Annotated[str | None, typer.Option(metavar="CYCLE", help="The trace of all drives, if not their own.")] = None,
     loss: Annotated[str | None, typer.Option(help="How residuals count: linear, soft_l1, huber, cauchy.")] = None,
+    starts: Annotated[int | None, typer.Option(metavar="N", help="Places of the ranges tried before the fit; 16 unless given.")] = None,
     mode: Annotated[Mode | None, typer.Option(help="How each step is solved; hybrid unless given.")] = None,
     dt: Annotated[float, typer.Option(metavar="S", help="Length of the step [s].")] = 1.0,
     mass: Mass = None,
@@ -78,7 +79,7 @@ def _calibrate(
         checks.problem(f"--out {out}: must end in .toml")
     checks.picture(plot, "--plot")
     of_drives: dict[str, Any] = {"--fit": fit, "--series": series, "--sigma": sigma, "--how": how, "--offset": offset, "--cycle": cycle}
-    of_drives |= {"--loss": loss, "--mode": mode, "--mass": mass, "--set": values, "--soc": soc}
+    of_drives |= {"--loss": loss, "--starts": starts, "--mode": mode, "--mass": mass, "--set": values, "--soc": soc}
     if len(given) == 1:
         checks.problem(*(f"{option} does not go with a problem, which says it itself" for option, x in of_drives.items() if x is not None))
         problem = checks.done(checks.take(partial(Problem.load, given[0])))
@@ -93,7 +94,7 @@ def _calibrate(
         checks.raise_problems()
         vehicle = checks.done(car)
         with busy(f"calibrate: {vehicle.name}"):
-            options: dict[str, Any] = {"loss": loss or "linear", "mode": mode or "hybrid", "dt": dt}
+            options: dict[str, Any] = {"loss": loss or "linear", "starts": starts or 16, "mode": mode or "hybrid", "dt": dt}
             found = calibrate(vehicle, [r for r in records if r is not None], ranges, **options)
     if out is not None:
         found.vehicle.save(out)

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 #: Between what a number may lie: a text such as ``0.2..0.5`` or ``50..100 kW``, a pair in SI, or nothing for its own bounds.
 Bounds: TypeAlias = str | tuple[float, float] | None
 _NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")
+MOST_STARTS = 100_000
 #: What the columns of the tables are.
 FOUND = ("number", "before", "found", "95 % interval", "unit")
 MATCHED = ("series", "rows", "uncertainty", "", "residual before", "after", "unit")
@@ -148,6 +149,7 @@ def calibrate(
     unknowns: Mapping[str, Bounds] | Sequence[str],
     *,
     loss: Loss = "linear",
+    starts: int = 16,
     mode: Mode = "hybrid",
     dt: float = 1.0,
 ) -> Calibration:
@@ -164,6 +166,9 @@ def calibrate(
         SI, or None for all that is allowed.
     loss
         How residuals count: ``linear`` squares; ``soft_l1``, ``huber``, ``cauchy`` let outliers count less.
+    starts
+        At how many places of the ranges the vehicle is tried before the fit, which goes on from its own and the best of them: a control
+        that switches can make several minima.
     mode, dt
         As for `run`.
 
@@ -183,6 +188,8 @@ def calibrate(
         problems.append("has no record")
     if mode not in MODES:
         problems.append(f"mode = {mode!r}, must be one of {', '.join(MODES)}{nearest(str(mode), MODES)}")
+    if not (isinstance(starts, int) and 1 <= starts <= MOST_STARTS):
+        problems.append(f"starts = {starts!r}, must be a whole number from 1 to {MOST_STARTS}")
     if not 0 < number(dt) < np.inf:
         problems.append(f"dt = {dt!r} s, must be a number > 0 s")
     if loss not in get_args(Loss):
@@ -216,13 +223,13 @@ def calibrate(
     names = [u.name for u in wanted]
     # The same outputs of all drives, so that one code serves them.
     kept = tuple(sorted({p.output.name for of in of_records for p in of}))
-    starts = [(name, "first") for name in kept if outputs[name].state is not None]
+    firsts = [(name, "first") for name in kept if outputs[name].state is not None]
 
     def model(x: Array) -> tuple[Array, Array]:
         values, derivatives = [], []
         given = dict(zip(names, x.tolist(), strict=True))
         for car, record, of in zip(cars, records, of_records, strict=True):
-            ran = slopes(car.with_values(given), record.cycle, names, starts, history=kept, mode=mode, dt=dt)
+            ran = slopes(car.with_values(given), record.cycle, names, firsts, history=kept, mode=mode, dt=dt)
             for p in of:
                 name = p.output.name
                 first = np.array(ran.values.get((name, "first"), 0.0))
@@ -231,7 +238,7 @@ def calibrate(
         return np.concatenate(values), np.concatenate(derivatives)
 
     try:
-        done = fit(wanted, model, groups, loss)
+        done = fit(wanted, model, groups, loss, starts)
     except InputError as error:
         raise InputError("calibrate", error.problems) from None
     source = vehicle.source if vehicle.source.startswith(OWN) else f"{OWN} {vehicle.name} ({vehicle.source})"

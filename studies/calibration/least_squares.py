@@ -71,6 +71,8 @@ AT_BOUND = 1e-6
 #: Where half the sum of squares should still fall by more than this but does not, there is a jump, which is passed at most so often; it is
 #: told where it holds the fit off by more than a standard uncertainty.
 AT_JUMP, HOPS, HELD_OFF = 0.02, 6, 0.5
+#: Of several places to start from, so many beside the first are gone on from.
+TRIED = 3
 #: Stated uncertainties are doubted if such residuals are rarer than this; independence from this correlation with the next row on.
 DOUBT, CORRELATED = 1e-3, 0.3
 
@@ -234,8 +236,11 @@ class Fit:
         return tuple(told)
 
 
-def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], loss: Loss = "linear") -> Fit:
+def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], loss: Loss = "linear", starts: int = 1) -> Fit:
     """Fit numbers to measurements.
+
+    With several `starts` the model is tried once at so many places, that of the unknowns and others spread over their ranges, and the
+    fit goes on from the first and the best of the others (`TRIED`), whichever leads lower.
 
     Raises
     ------
@@ -316,6 +321,10 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
     def change(old: Array, new: Array) -> float:
         return float(np.max(np.abs(new / old - 1)))
 
+    if starts > 1:
+        others = _spread(unknowns, starts - 1)
+        others.sort(key=lambda u: float(np.sum(((at(u)[0] - measured) / sigma) ** 2)))
+        u = min((descended(place, sigma) for place in (u, *others[:TRIED])), key=lambda done: float(done.cost)).x
     for _ in range(ROUNDS):
         done = descended(u, sigma)
         found = _found_sigma(groups, places, *at(done.x), measured, sigma, scale, loss)
@@ -331,6 +340,20 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
     x = np.clip(start + u * scale, low, high)
     after, jacobian = at(u)
     return Fit(tuple(unknowns), tuple(groups), loss, x, sigma, before, after, jacobian, evaluations, bool(ended), left)
+
+
+def _spread(unknowns: Sequence[Unknown], n: int) -> list[Array]:
+    """Return places spread evenly over the ranges, over the scales from the start: multiples of powers of a root of x^(p + 1) = x + 1."""
+    bounded = [i for i, u in enumerate(unknowns) if math.isfinite(u.low) and math.isfinite(u.high)]
+    root = 2.0
+    for _ in range(50):
+        root = (1 + root) ** (1 / (len(bounded) + 1))
+    places = [np.zeros(len(unknowns)) for _ in range(n)]
+    for k, place in enumerate(places, 1):
+        for j, i in enumerate(bounded, 1):
+            u = unknowns[i]
+            place[i] = (u.low + (0.5 + k * root**-j) % 1 * (u.high - u.low) - u.start) / u.scale
+    return places
 
 
 def _step(done: Any, bounds: tuple[Array, Array]) -> tuple[Array, float]:

@@ -4,6 +4,7 @@ A file holds ``schema``, ``kind = "calibration"``, ``name``, ``title`` and::
 
     vehicle = "small-car-electric"            # in the library, or a file beside this one
     loss = "huber"                            # linear unless said; soft_l1, huber, cauchy
+    starts = 16
     mode = "hybrid"
     dt = "1 s"
 
@@ -79,7 +80,7 @@ class _Reader(Reader):
         self.path = path
 
     def problem(self) -> Problem:
-        extra = {"vehicle": str, "loss": str, "mode": str, "dt": str, "set": dict, "fit": dict, "drives": list}
+        extra = {"vehicle": str, "loss": str, "starts": int, "mode": str, "dt": str, "set": dict, "fit": dict, "drives": list}
         data = self.toml(str(self.path), read_text(self.path, LARGEST), ["calibration"], extra)
         self.required(data, ("vehicle", "fit", "drives"), "")
         car = self.loaded(Vehicle.load, data["vehicle"], "vehicle") if "vehicle" in data else None
@@ -88,7 +89,7 @@ class _Reader(Reader):
                 car = car.with_values(data["set"])
             except InputError as error:
                 self.problems.extend(f"set.{p}" for p in error.problems)
-        options: dict[str, Any] = {name: data[name] for name in ("loss", "mode") if name in data}
+        options: dict[str, Any] = {name: data[name] for name in ("loss", "starts", "mode") if name in data}
         if "dt" in data:
             options["dt"] = self.number(data["dt"], _SECONDS, "dt")
         records = [self.record(x, f"drives[{i}]") for i, x in enumerate(data.get("drives", ()), 1)]

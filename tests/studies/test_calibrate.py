@@ -93,9 +93,15 @@ def test_a_series_is_the_same_in_other_units_counted_or_as_a_rate(runs):
         "drawn": Series(output="battery.soc", time=time, values=soc + 0.1, reading=Reading(how="counted")),
         "rate": Series(output="battery.soc", time=time, values=np.append(0, np.diff(soc)) * 3600, unit="1/h"),
     }
-    for what, series in forms.items():
-        found = calibrate(ELECTRIC, Record(name="drive", cycle=DRIVE, series=(series,)), RANGES)
-        assert found.values == pytest.approx(TRUTH, rel=1e-6), what
+    # Of each a drive has two, so that one code serves all.
+    power_forms, charge_forms = ([s for s in forms.values() if s.output == output] for output in ("battery.P_out", "battery.soc"))
+    for k in range(max(len(power_forms), len(charge_forms))):
+        pair = power_forms[k % len(power_forms)], charge_forms[k % len(charge_forms)]
+        found = calibrate(ELECTRIC, Record(name="drive", cycle=DRIVE, series=pair), RANGES, starts=1)
+        assert found.values == pytest.approx(TRUTH, rel=1e-6), pair
+        assert [m.after < 1e-6 * np.abs(p.values).max() for m, p in zip(found.matched, found.predicted[0], strict=True)] == [True, True], (
+            pair
+        )
 
 
 def test_fuel_may_be_measured_in_litres(runs):
@@ -123,7 +129,7 @@ def test_drives_share_what_is_fitted_and_have_numbers_of_their_own(runs):
 
 def test_numbers_that_only_their_product_tells_are_named(runs):
     record = measured(runs["small-car-electric"], CARS["small-car-electric"])
-    found = calibrate(ELECTRIC, record, {**RANGES, "body.A": "1.5..3 m^2", "body.v_miss": None})
+    found = calibrate(ELECTRIC, record, {**RANGES, "body.A": "1.5..3 m^2", "body.v_miss": None}, starts=1)
     dead, pair = found.notes
     assert dead == "body.v_miss changes nothing that was measured"
     assert pair.startswith(("body.A and body.c_d cannot", "body.c_d and body.A cannot"))
@@ -155,12 +161,13 @@ def test_all_that_is_wrong_is_named_at_once(runs):
     record = Record(name="bad", cycle=DRIVE, series=tuple(series), values={"body.c_d": 0.3, "body.mm": 3})
     wanted = {"body.cd": None, "body.c_d": "0.4..0.3", "wheel.f_0": "0.02..0.03", "motor.P_max": None, "body.m": "1 V..2 V", "body.A": "2"}
     with pytest.raises(InputError) as error:
-        calibrate(ELECTRIC, record, wanted, loss="square", mode="hybird", dt=-1)
+        calibrate(ELECTRIC, record, wanted, loss="square", starts=0, mode="hybird", dt=-1)
     told = "\n".join(error.value.problems)
     for part in (
         "mode = 'hybird', must be one of hybrid, refined, iteration, did you mean 'hybrid'?",
         "dt = -1 s, must be a number > 0 s",
         "loss = 'square', must be one of",
+        "starts = 0, must be a whole number from 1 to 100000",
         "body.cd is not known, did you mean 'body.c_d'?",
         'body.c_d = "0.4..0.3", the first end must be below the second',
         "wheel.f_0 = 0.009, where the fit starts, must lie within 0.02 and 0.03",
