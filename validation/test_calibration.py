@@ -21,7 +21,8 @@ CARS: dict[str, tuple[dict[str, float], dict[str, float], dict[str, str]]] = {
     "small-car-conventional": (FUEL, {"engine.torque_scale": 1.05}, {"engine.torque_scale": "0.8..1.3"}),
     "small-car-parallel": (FUEL | POWER, {}, {}),
     "small-car-series": (FUEL | CHARGE, {}, {}),
-    "small-car-fuel-cell": (POWER | {"fuel_cell.fuel_flow": 3e-6}, {}, {}),
+    # Its fuel cell switches so that a step more or less is a jump of hundreds of standard uncertainties.
+    "small-car-fuel-cell": ({"motor.P_in": 500.0}, {}, {}),
 }
 
 
@@ -46,9 +47,18 @@ def test_intervals_of_calibrations(name: str, stated: bool, loss: Loss) -> None:
             )
             for output, noise in noises.items()
         )  # fmt: skip
-        found = calibrate(car, Record(name="drive", cycle=cycle, series=series), RANGES | wider, loss=loss)
+        found = calibrate(car, Record(name="drive", cycle=cycle, series=series), RANGES | wider, loss=loss, starts=1)
         inside.append([low <= truth[n] <= high for n, (low, high) in found.intervals.items()])
     check(inside)
+
+
+def test_a_jump_within_the_intervals_is_told() -> None:
+    car, cycle, draw = Vehicle.load("small-car-fuel-cell"), Cycle.load("udds").between(0, 505), np.random.default_rng(5)
+    result = run(car.with_values(TRUTH), cycle)
+    flow = result["fuel_cell.fuel_flow"] + 3e-6 * draw.normal(size=len(result.time))
+    series = Series(output="fuel_cell.fuel_flow", time=result.time, values=flow, reading=Reading(sigma=3e-6))
+    found = calibrate(car, Record(name="drive", cycle=cycle, series=(series,)), RANGES)
+    assert any("jump" in note for note in found.notes), found.notes
 
 
 @pytest.mark.parametrize("name", vehicle_names())

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
@@ -71,6 +71,8 @@ AT_BOUND = 1e-6
 #: Where half the sum of squares should still fall by more than this but does not, there is a jump, which is passed at most so often; it is
 #: told where it holds the fit off by more than a standard uncertainty.
 AT_JUMP, HOPS, HELD_OFF = 0.02, 6, 0.5
+#: A jump within the intervals is told from this size on; with smaller ones they have been seen to hold (in standard uncertainties).
+CLIFF = 10.0
 #: Of several places to start from, so many beside the first are gone on from.
 TRIED = 3
 #: Stated uncertainties are doubted if such residuals are rarer than this; independence from this correlation with the next row on.
@@ -120,6 +122,9 @@ class Fit:
         Whether the fit ended by itself.
     left
         By how much, by the derivatives, half the sum of squares could still fall: more than 0 where the fit ended at a jump of the model.
+    jump
+        How far the model is from its derivatives a standard uncertainty to each side of a number, in standard uncertainties of the
+        measurements: the largest root of a sum of squares.
 
     """
 
@@ -134,6 +139,7 @@ class Fit:
     evaluations: int
     converged: bool
     left: float = 0.0
+    jump: float = 0.0
 
     @cached_property
     def measured(self) -> Array:
@@ -218,6 +224,11 @@ class Fit:
                 "the fit ended at a jump of the model, such as a gear or an engine that switches a step later: what is found may not be the"
                 " best, and intervals do not count the jump"
             )
+        elif self.jump > CLIFF:
+            told.append(
+                f"within the intervals the model jumps by up to {self.jump:.3g} standard uncertainties, as a gear or an engine does that"
+                " switches a step later: intervals take it for straight, and are approximate"
+            )
         told += [f"{u.name} stands at its {bound}est allowed value, {u.low if bound == 'low' else u.high:g}, and has no interval"
                  for u, bound in zip(self.unknowns, self.at_bound, strict=True) if bound]  # fmt: skip
         for i, g in enumerate(self.groups):
@@ -251,7 +262,7 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
     sizes, p = [len(g.values) for g in groups], len(unknowns)
     problems = [] if loss in LOSSES else [f"loss = {loss!r}, must be one of {', '.join(get_args(Loss))}"]
     stated = sum(n for n, g in zip(sizes, groups, strict=True) if g.sigma is not None)
-    if sum(sizes) < p or (stated < sum(sizes) and sum(sizes) <= p):
+    if sum(sizes) < p or ((stated < sum(sizes) or loss != "linear") and sum(sizes) <= p):
         problems.append(f"{sum(sizes)} measurements for {p} parameters, there must be more")
     problems += [
         f"{g.name}: {n} rows do not tell their own uncertainty, state it"
@@ -339,7 +350,14 @@ def fit(unknowns: Sequence[Unknown], model: Model, groups: Sequence[Measured], l
     u = np.where(x - low <= AT_BOUND * scale, (low - start) / scale, np.where(high - x <= AT_BOUND * scale, (high - start) / scale, u))
     x = np.clip(start + u * scale, low, high)
     after, jacobian = at(u)
-    return Fit(tuple(unknowns), tuple(groups), loss, x, sigma, before, after, jacobian, evaluations, bool(ended), left)
+    result = Fit(tuple(unknowns), tuple(groups), loss, x, sigma, before, after, jacobian, evaluations, bool(ended), left)
+    jump = 0.0
+    for i, std in enumerate(result.std):
+        for side in (-std, std) if 0 < std < math.inf else ():
+            moved = np.clip(x + side * np.eye(p)[i], low, high)
+            off = model(moved)[0] - after - jacobian @ (moved - x)
+            jump = max(jump, float(np.linalg.norm(off / sigma)))
+    return replace(result, jump=jump)
 
 
 def _spread(unknowns: Sequence[Unknown], n: int) -> list[Array]:
