@@ -80,6 +80,9 @@ def _calibrate(
     checks.picture(plot, "--plot")
     of_drives: dict[str, Any] = {"--fit": fit, "--series": series, "--sigma": sigma, "--how": how, "--offset": offset, "--cycle": cycle}
     of_drives |= {"--loss": loss, "--starts": starts, "--mode": mode, "--mass": mass, "--set": values, "--soc": soc}
+    if len(given) == 1 and not given[0].endswith(".toml"):
+        checks.problem(f"{given[0]} alone: name a vehicle and at least one drive, such as drive.csv, or a problem.toml")
+        checks.raise_problems()
     if len(given) == 1:
         checks.problem(*(f"{option} does not go with a problem, which says it itself" for option, x in of_drives.items() if x is not None))
         problem = checks.done(checks.take(partial(Problem.load, given[0])))
@@ -90,7 +93,12 @@ def _calibrate(
         ranges = _pairs(fit, "--fit", "body.c_d=0.2..0.5", checks)
         readings = _readings(series, sigma, how, offset, checks)
         trace = None if cycle is None else checks.take(partial(Cycle.load, cycle))
-        records = [checks.take(partial(Record.load, path, readings or None, cycle=trace)) for path in given[1:]]
+
+        # How a series was read does not choose the series.
+        def load(path: str) -> Record:
+            return Record.load(path, readings if series else None, cycle=trace).read(readings)
+
+        records = [checks.take(partial(load, path)) for path in given[1:]]
         checks.raise_problems()
         vehicle = checks.done(car)
         with busy(f"calibrate: {vehicle.name}"):

@@ -37,7 +37,7 @@ _SPEED = re.compile(r"[\d.]+")
     """,
 )
 def _road_load(
-    runs: Annotated[list[Path] | None, typer.Argument(metavar="[RUN.csv]...", help="Coast-downs.", show_default=False)] = None,
+    runs: Annotated[list[Path] | None, typer.Argument(metavar="RUN.csv", help="Coast-downs.", show_default=False)] = None,
     back: Annotated[list[Path] | None, typer.Option(metavar="RUN.csv", help="A coast-down the other way; repeatable.")] = None,
     mass: Annotated[float | None, typer.Option(metavar="KG", help="Mass of the car that rolled out.")] = None,
     rotating: Annotated[str, typer.Option(metavar="X", help="What turns with the wheels as a mass: 45kg, or per cent of the mass.")] = "3%",

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
@@ -145,6 +145,20 @@ class Record:
     series: tuple[Series, ...]
     values: Mapping[str, float | str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def read(self, readings: Mapping[str, Reading]) -> Record:
+        """Return the drive with series read as said; those that are not named stay as they are.
+
+        Raises
+        ------
+        InputError
+            If it has no such series.
+
+        """
+        own = [s.output for s in self.series]
+        if problems := [f"has no series {name}{nearest(name, own)}" for name in readings if name not in own]:
+            raise InputError(f"record {self.name}", problems)
+        return replace(self, series=tuple(replace(s, reading=readings.get(s.output, s.reading)) for s in self.series))
 
     def __repr__(self) -> str:
         return f"<Record {self.name}: {self.cycle.duration:g} s, {', '.join(s.output for s in self.series)}>"

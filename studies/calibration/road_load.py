@@ -88,7 +88,7 @@ class RoadLoad:
             if not np.isfinite(number(x))
         ]
         if not 10 <= number(self.m) <= 1e6:
-            problems.append(f"m = {self.m} kg, must be >= 10 kg and <= 1e+06 kg")
+            problems.append(f"m = {number(self.m):g} kg, must be >= 10 kg and <= 1e+06 kg")
         if not (len(self.v) == 2 and 0 <= number(self.v[0]) < number(self.v[1]) < np.inf):
             problems.append(f"v = {self.v}, must be two rising speeds in m/s")
         if not problems and min(self.force(np.linspace(*self.v, POINTS))) <= 0:

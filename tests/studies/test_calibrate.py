@@ -276,6 +276,12 @@ def test_files_that_are_wrong_say_so(files):
         "file is missing",
     ):
         assert part in told, told
+    done = CliRunner().invoke(
+        app, [*["calibrate", "small-car-electric", "drive.csv", "--fit", "body.c_d=0.2..0.5", "--sigma"], "battery.sok=1 %"]
+    )
+    assert "has no series battery.sok, did you mean 'battery.soc'?" in done.stderr
+    done = CliRunner().invoke(app, ["calibrate", "small-car-electric"])
+    assert "name a vehicle and at least one drive" in done.stderr
     done = CliRunner().invoke(app, ["calibrate", "ev.toml", "--fit", "body.c_d=0.2..0.5"])
     assert done.exit_code == 2
     assert "--fit does not go with a problem" in done.stderr
