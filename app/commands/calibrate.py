@@ -60,7 +60,7 @@ def _calibrate(
     loss: Annotated[str | None, typer.Option(help="How residuals count: linear, soft_l1, huber, cauchy.")] = None,
     starts: Annotated[int | None, typer.Option(metavar="N", help="Places of the ranges tried before the fit; 16 unless given.")] = None,
     mode: Annotated[Mode | None, typer.Option(help="How each step is solved; hybrid unless given.")] = None,
-    dt: Annotated[float, typer.Option(metavar="S", help="Length of the step [s].")] = 1.0,
+    dt: Annotated[float | None, typer.Option(metavar="S", help="Length of the step [s]; 1 unless given.")] = None,
     mass: Mass = None,
     values: Values = None,
     soc: Soc = None,
@@ -79,7 +79,7 @@ def _calibrate(
         checks.problem(f"--out {out}: must end in .toml")
     checks.picture(plot, "--plot")
     of_drives: dict[str, Any] = {"--fit": fit, "--series": series, "--sigma": sigma, "--how": how, "--offset": offset, "--cycle": cycle}
-    of_drives |= {"--loss": loss, "--starts": starts, "--mode": mode, "--mass": mass, "--set": values, "--soc": soc}
+    of_drives |= {"--loss": loss, "--starts": starts, "--mode": mode, "--dt": dt, "--mass": mass, "--set": values, "--soc": soc}
     if len(given) == 1 and not given[0].endswith(".toml"):
         checks.problem(f"{given[0]} alone: name a vehicle and at least one drive, such as drive.csv, or a problem.toml")
         checks.raise_problems()
@@ -102,8 +102,9 @@ def _calibrate(
         checks.raise_problems()
         vehicle = checks.done(car)
         with busy(f"calibrate: {vehicle.name}"):
-            options: dict[str, Any] = {"loss": loss or "linear", "starts": starts or 16, "mode": mode or "hybrid", "dt": dt}
-            found = calibrate(vehicle, [r for r in records if r is not None], ranges, **options)
+            options: dict[str, Any] = {"loss": loss, "starts": starts, "mode": mode, "dt": dt}
+            said = {name: x for name, x in options.items() if x is not None}
+            found = calibrate(vehicle, [r for r in records if r is not None], ranges, **said)
     if out is not None:
         found.vehicle.save(out)
     if plot is not None:
