@@ -194,6 +194,17 @@ def counted(what: str) -> Iterator[Callable[[int, int], None]]:
         yield tell
 
 
+@contextmanager
+def resumable(folder: Path | None) -> Iterator[None]:
+    """Say after an interrupt that a folder holds what is finished."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if folder is not None:
+            typer.secho(f"what is finished is in {folder}; the same command goes on there", fg="yellow", err=True)
+        raise
+
+
 def print_json(found: Mapping[str, Any]) -> None:
     """Print one JSON object."""
     typer.echo(json.dumps(_plain(found), indent=2, allow_nan=False))

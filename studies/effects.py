@@ -60,7 +60,8 @@ class Index(NamedTuple):
 def responses_of(found: xr.Dataset) -> list[str]:
     """Return the figures of a sweep that are not the same everywhere."""
     names = [str(name) for name in found.data_vars if name not in (FAILURE, NOTES)]
-    return [name for name in names if np.ptp(x := _known(found[name].to_numpy())) > 1e-9 * np.abs(x).max()]
+    # What is nothing but rounding, such as a trace that is met, does not vary.
+    return [name for name in names if np.ptp(x := _known(found[name].to_numpy())) > max(1e-9 * np.abs(x).max(), 1e-12)]
 
 
 def _known(x: Array) -> Array:

@@ -266,7 +266,8 @@ def _planned(
     except InputError as error:
         problems += [f"{error.where} {problem}" for problem in error.problems]
         drawn = Sample("lhs", 2)
-    design = design_of((vehicle,), vary, drawn, problems, correlation, truncate)
+    problems += [f"{name} is no number of the vehicle, must be one such as body.m" for name in vary if "." not in name]
+    design = design_of((vehicle,), {name: x for name, x in vary.items() if "." in name}, drawn, problems, correlation, truncate)
     fixed = [axis.name for axis in design.axes if axis.spread is None and not any(f"axis {axis.name}" in p for p in problems)]
     problems += [f"axis {name} = {vary[name]!r}, must be a distribution, such as normal(1300, 40)" for name in fixed]
     if problems:

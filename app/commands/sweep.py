@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 
 from halfshaft.app.options import Checks, CycleNames, Json, Mass, Soc, Values, VehicleNames
-from halfshaft.app.output import busy, console, counted, new_table, print_json, print_line, print_written
+from halfshaft.app.output import busy, console, counted, new_table, print_json, print_line, print_written, resumable
 from halfshaft.app.program import app
 from halfshaft.cosim.ways import Mode
 
@@ -115,16 +115,11 @@ def _sweep(
     # A constraint on what no point has is said before the sweep runs, not when it is drawn.
     needed = [*response, *(limit.name for limit in limits if limit is not None)] if response else []
     title = f"{', '.join(car.name for car in found_cars)} over {', '.join(task.name for task in tasks)}"
-    try:
-        with counted(title) as progress:
-            found = sweep(
-                found_cars, axes, tasks, sample=sample, seed=seed, responses=needed, folder=out, workers=workers,
-                scheduler=scheduler, progress=progress,
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        if out is not None:
-            typer.secho(f"what is finished is in {out}; the same command goes on there", fg="yellow", err=True)
-        raise
+    with resumable(out), counted(title) as progress:
+        found = sweep(
+            found_cars, axes, tasks, sample=sample, seed=seed, responses=needed, folder=out, workers=workers, scheduler=scheduler,
+            progress=progress,
+        )  # fmt: skip
     drawn = response or main_of(map(str, found))
     if as_json:
         columns = table(found)

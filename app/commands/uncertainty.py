@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from halfshaft.app.commands.sweep import named_test
 from halfshaft.app.options import Checks, CycleNames, Json, Mass, Soc, Values, VehicleName, number_or_text
-from halfshaft.app.output import console, counted, new_table, print_json, print_line, print_written
+from halfshaft.app.output import console, counted, new_table, print_json, print_line, print_written, resumable
 from halfshaft.app.program import app
 from halfshaft.cosim.ways import Mode
 
@@ -94,7 +94,7 @@ def _uncertainty(
     tasks += [task for task in tests if task is not None]
     pairs = {tuple(name.strip() for name in names.split(",")): number_or_text(r) for names, r in together.items()}
     needed = [*figure, *(limit.name for limit in limits if limit is not None)] if figure else []
-    with counted(f"uncertainty: {vehicle}") as progress:
+    with resumable(out), counted(f"uncertainty: {vehicle}") as progress:
         found = uncertainty(
             checks.done(car), distributions, tasks, correlation=pairs or None, sample=sample, seed=seed, truncate=truncate,  # type: ignore[arg-type]
             figures=list(dict.fromkeys(needed)), folder=out, workers=workers, progress=progress,

@@ -95,24 +95,34 @@ class CrankshaftCoupler(_Coupler):
     """Machine on the crankshaft, between clutch and engine, which also starts the engine."""
 
     kind = "crankshaft-coupler"
-    signals = (*_Coupler.signals, Signal("tau_machine_largest", "N.m", "largest torque that the machine can add at the crankshaft"))
-    reads = (From("control", tau_machine="N.m", clutch_open="1"), From("machine", Motor, along=("motor",)))
+    signals = (
+        *_Coupler.signals,
+        Signal("tau_machine_largest", "N.m", "largest torque that the machine can add at the crankshaft"),
+        Signal("J_machine", "kg.m^2", "inertia of the machine at the crankshaft"),
+    )
+    reads = (
+        From("control", tau_machine="N.m", clutch_open="1"),
+        From("machine", Motor, along=("motor",)),
+        From("engine", omega_engine="rad/s"),
+    )
 
-    @face("n_motor", "tau_machine_largest")
+    @face("n_motor", "tau_machine_largest", "J_machine")
     def law(self, machine: Motor) -> Mapping[str, Any]:
-        """Publish the motor's ratio and its largest torque."""
-        return {"n_motor": self.p.n, "tau_machine_largest": self.p.n * machine.p.overtorque * machine.tau_largest}
+        """Publish the motor's ratio, its largest torque and its inertia."""
+        n, p = self.p.n, machine.p
+        return {"n_motor": n, "tau_machine_largest": n * p.overtorque * machine.tau_largest, "J_machine": n**2 * p.J}
 
     def ask_engine(self, output: Shaft, tau_machine: Expr) -> Shaft:
         """Return what is not wanted of the machine."""
         return output._replace(tau=output.tau - tau_machine)
 
-    def ask_motor(self, output: Shaft, engine: Shaft, clutch_open: Expr) -> Shaft:
+    def ask_motor(self, output: Shaft, engine: Shaft, clutch_open: Expr, omega_engine: Expr) -> Shaft:
         """Return equations (1) and (2) for the machine.
 
-        Behind an open clutch nothing says how fast the shaft gains speed.  Where the engine is at its top speed the machine does
-        not drive it beyond.
+        Behind an open clutch nothing says how fast the shaft gains speed.  Where the engine is at its top speed, and not only asked to
+        turn faster, the machine does not drive it beyond.
         """
         n, tau = self.p.n, self.rest(output, engine)
-        beyond = ca.logic_and(ca.logic_not(clutch_open), output.omega - engine.omega > 1e-6)
+        at_top = ca.logic_and(output.omega - engine.omega > 1e-6, omega_engine > engine.omega * (1 - 1e-9))
+        beyond = ca.logic_and(ca.logic_not(clutch_open), at_top)
         return Shaft(where(beyond, ca.fmin(tau, 0), tau), n * engine.omega, where(clutch_open, 0, n * output.alpha))

@@ -133,6 +133,7 @@ class Engine(Component, Machine):
         From("shift", optional=True, ratio="1"),
         From("shift", optional=True, ratio_change="1"),
         From("generator", optional=True, J_shaft="kg.m^2"),
+        From("coupler", optional=True, J_machine="kg.m^2"),
         From("gear", optional=True, along=("shaft",), braked="1"),
     )
 
@@ -280,6 +281,7 @@ class Engine(Component, Machine):
     def turn(
         self, shaft: Shaft, omega_engine: Expr, throttle_engine: Expr, omega_command: Expr, omega_idle: Expr, engine_on: Expr,
         clutch_open: Expr, turning: Turning, clutch_slipping: Expr = 0.0, geared: Expr = 0.0, pedalled: Expr = 0.0, J_shaft: Expr = 0.0,
+        J_machine: Expr = 0.0,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Return the engine's motion in continuous time.
 
@@ -289,7 +291,7 @@ class Engine(Component, Machine):
         """
         fade = clip((1 - omega_engine / self.omega_max) / FADE, 0, 1)
         closed, highest = self.tau_closed(omega_engine) * turning(omega_engine), fade * self.tau_max(omega_engine)
-        J = ca.fmax(self.p.J + J_shaft, 1e-3)
+        J = ca.fmax(self.p.J + J_shaft + J_machine, 1e-3)
 
         def governed(omega: Expr) -> Expr:
             return clip(shaft.tau + J / GOVERNOR_TIME * (omega - omega_engine), closed, highest)

@@ -96,6 +96,26 @@ def test_the_machine_of_a_mild_hybrid_starts_its_engine():
     assert np.all(given <= taken * (1 + 1e-12))
 
 
+def test_the_rotor_of_a_machine_on_the_crankshaft_is_turned_in_the_forward_facing_model_too():
+    car = vehicle_of("small-car-mild-hybrid")
+    launch = Cycle(name="launch", time=np.array([0.0, 1.0, 1.001, 4.0]), speed=np.array([0.0, 0.0, 30.0, 30.0]))
+    result = run(car, launch, via="forward")
+    start, end = car.values["control.omega_idle"], result["engine.omega_engine"][-1]
+    J = car.values["engine.J"] + car.values["coupler.n"] ** 2 * car.values["motor.J"]
+    assert end > start + 100
+    assert result.energies["engine.P_kinetic"] == pytest.approx(J * (end**2 - start**2) / 2, rel=1e-5)
+
+
+def test_the_machine_of_a_mild_hybrid_helps_as_long_as_its_engine_is_below_its_top_speed():
+    # Also where the trace asks for more than that in the gear that is in.
+    result = accelerate(vehicle_of("small-car-mild-hybrid"), mode="hybrid").result
+    top = float(vehicle_of("small-car-mild-hybrid").parameters["engine"].tau_max.points[0][-1])
+    asked = (result["clutch.omega_required"] > top) & (result["clutch.tau"] > 0)
+    assert asked.sum() > 5
+    assert np.all(result["engine.omega_engine"][asked] < 0.99 * top)
+    assert np.all(result["motor.tau"][asked] > 0)
+
+
 @pytest.mark.parametrize(("name", "pulls"), [("small-car-parallel", False), ("small-car-parallel-post", True)])
 def test_only_a_motor_behind_the_gearbox_pulls_while_a_gear_is_changed(name, pulls):
     result = run(vehicle_of(name).with_values({"shift.t_shift": 0.5}), UDDS, dt=0.1)

@@ -460,9 +460,9 @@ CASES |= {
     "bus-with-generator": lambda: bus_case(component("bus"), 12e3),
     "torque-coupler": lambda: coupler_case(component("torque-coupler", n=1.7), 7),
     "torque-coupler-with-drag": lambda: coupler_case(component("torque-coupler", n=0.8, tau_loss=2.0), 8),
-    "crankshaft-coupler": lambda: coupler_case(component("crankshaft-coupler"), 9, tau_machine=12.0, clutch_open=0.0),
+    "crankshaft-coupler": lambda: coupler_case(component("crankshaft-coupler"), 9, tau_machine=12.0, clutch_open=0.0, omega_engine=0.0),
     "crankshaft-coupler-with-drag": lambda: coupler_case(
-        component("crankshaft-coupler", n=1.4, tau_loss=0.5), 10, tau_machine=-5.0, clutch_open=0.0
+        component("crankshaft-coupler", n=1.4, tau_loss=0.5), 10, tau_machine=-5.0, clutch_open=0.0, omega_engine=0.0
     ),
     "body-without-drag": lambda: body_case("small-car", 24, c_d=0.0),
     "rear-wheels": lambda: wheel_case("small-car-wheels", "small-car", 25, front_driven=0.0, rear_driven=1.0),

@@ -220,7 +220,7 @@ def mild(parameters, samples):
         T_e, w_e = engine.geared(belt.required(T + T_loss - T_m, w_engine, control.w_idle, on), w_shaft, on, is_open, slips, road, dt)
         T_e = belt.available(T_e)
         T_rest = (T + T_loss - T_e) / n
-        if not is_open and w_shaft - w_e > 1e-6:
+        if not is_open and w_shaft - w_e > 1e-6 and w_engine > w_e * (1 - 1e-9):
             T_rest = min(T_rest, 0.0)  # It does not drive the engine beyond its top speed.
         rotor = motor.required(T_rest, n * w_e, 0.0 if is_open else n * alpha, battery.U, road)
         P = bus.available(battery.available(bus.required(accessories.required(rotor, key_on), 0.0), dt))

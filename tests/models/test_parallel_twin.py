@@ -99,6 +99,6 @@ def test_the_step_is_the_car_by_hand(name, car, cycle):
     units = {d.name: d.unit for d in result.outputs}
     for column, values in by_hand.items():
         # What is nothing but rounding is measured by one unit.  Operations in another order are fed back through the achieved speed,
-        # whose error a force takes over the step's length.
+        # whose error a force takes over the step's length; it grows on a climb at the limit, whose grade the distance decides.
         scale = max(np.abs(result[column]).max(), 1.0 if units[column] in ("W", "N", "N.m", "m/s") else 1e-12)
-        np.testing.assert_allclose(values / scale, result[column] / scale, rtol=0, atol=1e-9 / dt, err_msg=column)
+        np.testing.assert_allclose(values / scale, result[column] / scale, rtol=0, atol=1e-8 / dt, err_msg=column)

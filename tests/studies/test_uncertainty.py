@@ -108,9 +108,9 @@ def test_what_is_no_distribution_is_refused(given, said):
 
 
 def test_everything_that_is_wrong_is_named_at_once():
-    vary = {"body.mass": "normal(1, 2)", "body.A": "normal(2, 1, 5, 4)", "motor.J": "normal(0.05, 0.001)"}
+    vary = {"body.mass": "normal(1, 2)", "body.A": "normal(2, 1, 5, 4)", "motor": "normal(0.05, 0.001)"}
     found = refused(CAR, vary, Formula(), sample="sobol:9", correlation={("body.A", "body.B"): 0.5, ("body.A",): 2})
-    assert len(found) == 5
+    assert len(found) == 6
     assert refused(CAR, {}, Formula()) == ["no number has a distribution, at least one must, such as body.m=normal(1300, 40)"]
     # A grid has no place for a distribution.
     with pytest.raises(InputError, match="is a distribution, which needs a sample, such as sobol:256"):
