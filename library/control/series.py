@@ -85,7 +85,7 @@ class SeriesControl(PowerFollower):
         omega = self.speed_of(P, engine)
         eta = generator.power(P / omega, omega) / P
         P = where(P_bus > 0, P / ca.fmax(eta, 1e-6), 0)
-        return {"_supply": Supply(P, self.p.P_min_share * engine.P_largest, self.p.P_max_share * engine.P_largest)}
+        return {"_supply": Supply(P, self.p.P_min_share * engine.P_largest, self.p.P_max_share * engine.P_largest, engine.P_largest)}
 
     @face(
         "engine_on", "clutch_open", "omega_command", "tau_genset", "omega_genset", "P_engine_request", "next_t_on", "next_turned_before",
