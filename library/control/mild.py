@@ -83,7 +83,7 @@ class MildControl(ClutchControl):
         Variable("tau_machine", "N.m", "torque at the crankshaft that is wanted of the machine", signal=True),
     )
     commands = (
-        Command("run", "whether the engine runs", "flag", memory="on_before"),
+        Command("run", "whether the engine runs", "flag"),
         Command("share", "torque that is wanted of the machine over its largest", "share", lowest=-1.0, needs="run"),
     )
     reads = (

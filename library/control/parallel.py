@@ -113,7 +113,7 @@ class _ParallelControl(ClutchControl):
         Signal("upshift_allowed", "1", "whether a gear may be raised"),
     )
     commands = (
-        Command("run", "whether the engine runs", "flag", memory="on_before"),
+        Command("run", "whether the engine runs", "flag"),
         Command("share", "engine torque: 0 none, 1 what is asked for, 2 the largest", "share", highest=2.0, needs="run"),
     )
     reads = (

@@ -78,7 +78,7 @@ class PowerFollower(Component):
         *(State(f"part_{i}", "J", f"demand in the part {i} s ago") for i in range(1, PARTS + 1)),
     )
     commands: ClassVar[tuple[Command, ...]] = (
-        Command("run", "whether the source runs", "flag", memory="on_before"),
+        Command("run", "whether the source runs", "flag"),
         Command("share", "power of the source over its largest", "share", needs="run"),
     )
     reads: ClassVar[tuple[From, ...]] = (From("bus", P_bus="W"), From("battery", soc_before="1", P_battery_max="W", P_battery_min="W"))

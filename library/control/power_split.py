@@ -83,8 +83,8 @@ class PowerSplitControl(Component):
         Variable("P_engine_request", "W", "engine power that demand and charging ask for"),
     )
     commands = (
-        Command("run", "whether the engine runs", "flag", memory="on_before"),
-        Command("share", "engine power over the largest", "share", needs="run"),
+        Command("run", "whether the engine runs", "flag"),
+        Command("share", "engine power over the largest", "share", needs="run", lasts=True),
     )
     signals = (Signal("omega_idle", "rad/s", "idling speed"), Signal("clutch_open", "1", "whether the engine only spins"))
     reads = (

@@ -56,6 +56,7 @@ class SeriesControl(PowerFollower):
         Variable("P_engine_request", "W", "engine power that demand and charging ask for"),
     )
     signals = (Signal("omega_idle", "rad/s", "idling speed"),)
+    commands = tuple(c._replace(lasts=c.kind == "share") for c in PowerFollower.commands)
     reads = (*PowerFollower.reads, From("engine", Engine), From("generator", Generator))
 
     def start(self) -> Mapping[str, Any]:
