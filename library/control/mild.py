@@ -162,9 +162,9 @@ class MildControl(ClutchControl):
         return {"_driving": where(tau > p.tau_full, full, where(asked, help, where(soc_before < p.soc_high, regen, 0)))}
 
     @commanded("_driving")
-    def share_out(self, share: Expr, omega_command: Expr, motor: Motor, n_motor: Expr) -> Mapping[str, Any]:
-        """Take from outside what the machine is asked for."""
-        return {"_driving": share * self.largest(omega_command, n_motor, motor)}
+    def share_out(self, share: Expr, omega_command: Expr, clutch_open: Expr, motor: Motor, n_motor: Expr) -> Mapping[str, Any]:
+        """Take from outside what the machine is asked for; behind an open clutch it rests."""
+        return {"_driving": where(clutch_open, 0, share * self.largest(omega_command, n_motor, motor))}
 
     @face("tau_machine")
     def operate(

@@ -46,11 +46,13 @@ if TYPE_CHECKING:
 Charge: TypeAlias = Literal["kept", "used"]
 CHARGES: tuple[Charge, ...] = get_args(Charge)
 #: Prices that are tried at once, the first ones as the energy of a fuel over that of the store, and how often their range is cut.
-PRICES, LOWEST, HIGHEST, CUTS = 12, 0.5, 12.0, 4
-#: A price above this is paid by no vehicle.
-TOO_HIGH = 1e4
-#: The corridor's first half width over the range of the charge, by how much it is narrowed, how often, and the gain that ends it.
-WIDE, NARROWED, PASSES, GAIN = 0.5, 0.3, 4, 5e-4
+PRICES, LOWEST, HIGHEST, CUTS = 16, 0.5, 12.0, 4
+#: So many searches may find no price that keeps the charge.
+MOST_DEAD = 4
+#: The corridor's first half width over the range of the charge, and by how much it is narrowed.
+WIDE, NARROWED = 0.5, 0.3
+#: Most passes, and how many that gain less than a share of the fuel are the last ones.
+PASSES, ENOUGH, GAIN = 8, 2, 5e-4
 #: A corridor is touched where the charge comes as near to its edge, as a share of its half width.
 TOUCHED = 0.8
 #: Charges that are the same.
@@ -144,8 +146,8 @@ class Optimum:
             found[way.name] = {
                 "fuel_L_per_100km": f["fuel_economy_L_per_100km"],
                 "fuel_J": way.fuel,
-                "fuel_at_equal_charge_J": self.fuel(way),
-                "excess": self.excess(way),
+                "fuel_at_equal_charge_J": float(self.fuel(way)),
+                "excess": float(self.excess(way)),
                 "soc_start": f["soc_start"],
                 "soc_end": f["soc_end"],
                 "source_share_of_time": float(np.average(running, weights=way.result.dt)),
@@ -271,7 +273,7 @@ class _Task:
     def optimum(self, notes: tuple[str, ...]) -> Optimum:
         """Look for the best way."""
         ecms = self.ecms()
-        found, passes = ecms, list[Pass]()
+        found, passes, idle = ecms, list[Pass](), 0
         reference = self.charge_of(ecms)
         half = WIDE * max(float(np.ptp(reference)), 2 * float(np.abs(np.diff(reference)).max(initial=HAIR)))
         for _ in range(PASSES):
@@ -283,9 +285,11 @@ class _Task:
             before, at = found.fuel, self.charge_of(better)
             passes.append(Pass(half, better.fuel))
             found = better if better.fuel < found.fuel else found
-            if before - found.fuel < GAIN * before and len(passes) > 1:
+            idle = idle + 1 if before - found.fuel < GAIN * before else 0
+            if idle == ENOUGH:
                 break
-            half *= NARROWED if np.max(np.abs(at - reference)) < TOUCHED * half else 1.0
+            if idle or np.max(np.abs(at - reference)) < TOUCHED * half:
+                half *= NARROWED
             reference = at
         vehicle = self.problem.vehicle
         ways = (Way("control in use", self.in_use, {}), self.way("ECMS", ecms), self.way("best", found))
@@ -300,26 +304,31 @@ class _Task:
             If no price keeps it.
 
         """
-        energy, kept = pack_energy(self.problem.vehicle), None
-        prices = energy * np.geomspace(LOWEST, HIGHEST, PRICES)
-        cut = 0
-        while cut < CUTS:
+        energy, kept = pack_energy(self.problem.vehicle), list[Found]()
+        prices, cuts, dead = energy * np.geomspace(LOWEST, HIGHEST, PRICES), 0, 0
+        while cuts < CUTS:
             ends = self.problem.search(self.candidates, prices, 1, self.bounds, self.threads)
             best = [self.least(ends, family) for family in range(len(prices))]
-            found = next((i for i, x in enumerate(best) if x is not None), None)
-            if found is None:
-                if prices[-1] > TOO_HIGH * energy:
-                    raise SolveError(f"{self.cycle.name}: no price of the charge leads to one of {self.target:.4f} at the end")
+            enough = [i for i, x in enumerate(best) if x is not None]
+            # What is left on the way has another price: too low a one, as a rule, leaves the store empty.
+            short = [i for i in set(ends.end[:, 0].astype(int).tolist()) if i not in enough]
+            if enough:
+                kept += [x for x in best if x is not None]
+                low, high, cuts = max(enough[0] - 1, 0), enough[0], cuts + 1
+                prices = np.linspace(prices[low] if enough[0] else 0.0, prices[high], PRICES)
+            elif short and max(short) + 1 < len(prices):
+                prices = np.linspace(prices[max(short)], prices[max(short) + 1], PRICES)
+                dead += 1
+            elif short:
                 prices = prices[-1] * np.geomspace(1, HIGHEST, PRICES)
-                continue
-            here = best[found]
-            assert here is not None
-            if kept is None or here.fuel < kept.fuel:
-                kept = here
-            low = prices[found - 1] if found else 0.0
-            prices, cut = np.linspace(low, prices[found], PRICES), cut + 1
-        assert kept is not None
-        return kept
+                dead += 1
+            else:
+                prices = energy * np.geomspace(LOWEST, HIGHEST, 3 * len(prices))
+                dead += 1
+            if dead > MOST_DEAD:
+                at = "" if ends.dead is None else f"; at t = {ends.dead:g} s nothing follows the trace any more"
+                raise SolveError(f"{self.cycle.name}: no price of the charge leads to {self.target:.4f} at the end{at}")
+        return min(kept, key=lambda x: x.fuel)
 
     def least(self, ends: Ends, family: int = 0) -> Found | None:
         """Return what leaves enough charge for the least fuel, at one of the prices; None where nothing does."""

@@ -56,8 +56,8 @@ typedef struct {
   long at_charge, fuels;
   const int *at_fuel;        /* states */
   const double *heating;     /* of each fuel [J/kg] */
-  long motions;
-  const int *at_motion;      /* outputs: rates of kinetic energies [W] */
+  long motions, errors;
+  const int *at_motion, *at_error; /* outputs: powers into what moves, and those that the method loses [W] */
   double worth;              /* of motion: charge for an energy [1/J] */
   long memories;
   const int *at_memory;      /* states that hold whole numbers, told apart up to KEPT */
@@ -76,7 +76,7 @@ typedef struct {
   long slots, threads, next, nodes;
   double *now, *then;        /* states of nodes */
   int *family, *family_then;
-  double *motion, *motion_then; /* kinetic energy since the start [J] */
+  double *motion, *motion_then; /* energy since the start: in what moves, less what the method gained [J] */
   arrival *best;             /* of each thread, by slot */
   int *winner;               /* slots that something arrived in */
   pthread_mutex_t lock;
@@ -120,6 +120,7 @@ static double fuel_of(const search_job *j, const double *x, int l) {
 static double motion_of(const search_job *j, long k, const double *y, int l) {
   double P = 0;
   for (long i = 0; i < j->motions; ++i) P += AT(y, j->at_motion[i], l);
+  for (long i = 0; i < j->errors; ++i) P += fmin(AT(y, j->at_error[i], l), 0);
   return P * j->dt[k];
 }
 
@@ -173,6 +174,10 @@ static void arrive(const search_job *j, long k, double scale, const double *x, c
   for (long i = 0; i < j->motions; ++i) {
     const double *P = &AT(y, j->at_motion[i], 0);
     for (int l = 0; l < HS_LANES; ++l) moved[l] += P[l];
+  }
+  for (long i = 0; i < j->errors; ++i) {
+    const double *P = &AT(y, j->at_error[i], 0);
+    for (int l = 0; l < HS_LANES; ++l) moved[l] += P[l] < 0 ? P[l] : 0;
   }
   for (int l = 0; l < HS_LANES; ++l) {
     const int able = (v[l] >= slowest) & (v[l] <= fastest) & (charge[l] >= low) & (charge[l] <= high);

@@ -30,8 +30,9 @@ from halfshaft.models.vehicle import Vehicle
 
 #: So many gears are told apart.
 GEARS = 16
-#: What the kinetic energy of rotors is worth over the store's.
-WORTH = 0.9
+#: Lines of the account that count beside the charge, at this worth over the store's energy: what moves gives it back, and what the method
+#: gains by its own errors is paid for, so that no way is found that lives on them.
+MOTION, ERRORS, WORTH = ("kinetic",), ("discretisation", "mismatch"), 0.9
 #: Speed that counts as none [m/s].
 HAIR = 1e-4
 
@@ -120,18 +121,18 @@ class Problem:
         Raises
         ------
         SolveError
-            If in some step nothing is allowed any more.
+            If there is too little memory, or a parameter is no number.
 
         """
         step, n = self.step, len(self.samples.t)
         memories = [step.state_index[f"{name.partition('.')[0]}.{c.memory}"] for name, c in step.commands.items() if c.memory]
         kinds, kind = np.unique(self.kinds(candidates), axis=0, return_inverse=True)
-        motions = [i for i, d in enumerate(_in_lanes(step).outputs) if d.booking == "kinetic"]
+        motions, errors = ([i for i, d in enumerate(_in_lanes(step).outputs) if d.booking in lines] for lines in (MOTION, ERRORS))
         fuels = step.tags.by_part("fuel mass")
         heating = {part: self.vehicle.values[name] for part, name in self.vehicle.tags.by_part("fuel heating value").items()}
         each = np.ascontiguousarray(np.broadcast_to(candidates, (n, *candidates.shape)))
         most = len(prices) * len(kinds) * places * GEARS ** len(memories)
-        whole = [np.array(x, dtype=np.intc) for x in ([step.state_index[f] for f in fuels.values()], motions, memories, kind)]
+        whole = [np.array(x, dtype=np.intc) for x in ([step.state_index[f] for f in fuels.values()], motions, errors, memories, kind)]
         numbers = [np.array(x, dtype=float) for x in (prices, [heating[part] for part in fuels], *bounds)]
         count, origin, by = np.zeros(n, np.intc), np.zeros((n, most), np.intc), np.zeros((n, most), np.short)
         x, end = self.compiled.first(self.parameters), np.zeros((most, 3))
@@ -139,27 +140,29 @@ class Problem:
         distance, grade = s.grade_by_distance or (None, None)
         job = _Job(
             n, *map(address, (s.dt, s.v, s.grade, s.key_on)), 0 if distance is None else len(distance), *map(address, (distance, grade)),
-            address(self.parameters), address(x), len(candidates), address(each), address(whole[3]), len(kinds), len(prices), places,
+            address(self.parameters), address(x), len(candidates), address(each), address(whole[4]), len(kinds), len(prices), places,
             address(numbers[0]), *map(address, numbers[2:]), step.state_index[step.tags.the("charge")],
-            len(fuels), address(whole[0]), address(numbers[1]), len(motions), address(whole[1]), WORTH / pack_energy(self.vehicle),
-            len(memories), address(whole[2]), most, *map(address, (count, origin, by, end)), 0,
+            len(fuels), address(whole[0]), address(numbers[1]), len(motions), len(errors), address(whole[1]), address(whole[2]), WORTH / pack_energy(self.vehicle),
+            len(memories), address(whole[3]), most, *map(address, (count, origin, by, end)), 0,
         )  # fmt: skip
         failed = _library(Build(self.vehicle), self.free, bool(np.all(np.frexp(s.dt)[0] == 0.5))).hs_search(ctypes.byref(job), threads)
         if failed:
             raise SolveError(f"{step.name}: the search {'needs more memory' if failed < 0 else 'met a parameter that is no number'}")
-        if job.dead:
-            raise SolveError(f"{step.name}: at t = {s.t[job.dead - 1]:g} s no command follows the trace within the charge that is allowed")
-        return Ends(each, tuple(prices), origin, by, end[: count[-1]])
+        return Ends(each, tuple(prices), origin, by, end[: count[-1]], float(s.t[job.dead - 1]) if job.dead else None)
 
 
 class Ends(NamedTuple):
-    """Nodes at the end of a search, and where they came from; `end` holds family, fuel [J] and charge of each."""
+    """Nodes at the end of a search, and where they came from.
+
+    `end` holds place of the price, fuel [J] and charge of each; `dead` is the time at which nothing was allowed any more, if so.
+    """
 
     candidates: Array
     prices: tuple[float, ...]
     origin: npt.NDArray[np.intc]
     by: npt.NDArray[np.short]
     end: Array
+    dead: float | None
 
     def found(self, node: int) -> Found:
         """Return the commands that lead to a node."""
@@ -204,7 +207,7 @@ def _in_lanes(step: Step) -> Step:
     """Return the step with what a search needs of it."""
     # The march itself needs the request and what is missed of it.
     needed = {step.tags.the(tag) for tag in ("request", "miss", "overspeed")}
-    return step.only({*needed, *(d.name for d in step.outputs if d.booking == "kinetic")})
+    return step.only({*needed, *(d.name for d in step.outputs if d.booking in MOTION + ERRORS)})
 
 
 @lru_cache(maxsize=64)
@@ -233,8 +236,8 @@ class _Job(ctypes.Structure):
             (ctypes.c_long, "n"), (ctypes.c_void_p, "dt v grade key_on"), (ctypes.c_long, "n_grade"),
             (ctypes.c_void_p, "grade_distance grade_value p x"), (ctypes.c_long, "candidates"), (ctypes.c_void_p, "commands kind"),
             (ctypes.c_long, "kinds families places"), (ctypes.c_void_p, "price low high slowest fastest"),
-            (ctypes.c_long, "at_charge fuels"), (ctypes.c_void_p, "at_fuel heating"), (ctypes.c_long, "motions"),
-            (ctypes.c_void_p, "at_motion"), (ctypes.c_double, "worth"), (ctypes.c_long, "memories"), (ctypes.c_void_p, "at_memory"),
+            (ctypes.c_long, "at_charge fuels"), (ctypes.c_void_p, "at_fuel heating"), (ctypes.c_long, "motions errors"),
+            (ctypes.c_void_p, "at_motion at_error"), (ctypes.c_double, "worth"), (ctypes.c_long, "memories"), (ctypes.c_void_p, "at_memory"),
             (ctypes.c_long, "most"), (ctypes.c_void_p, "count origin by end"), (ctypes.c_long, "dead"),
         )
         for name in names.split()
