@@ -78,8 +78,8 @@ class Command(NamedTuple):
     """A decision that may come from outside in place of a control's law.
 
     A ``flag`` is 0 or 1, a ``step`` a whole number, a ``share`` any number from `lowest` to `highest`; kinks of what follows from a share
-    lie at whole numbers.  ``needs`` names the flag without which it is of no effect.  ``memory`` is the state that a step moves; ``lasts`` says
-    of a share that its effect outlasts the step, as a speed of a rotor does.
+    lie at whole numbers.  ``needs`` names the flag without which it is of no effect.  ``memory`` is the state that a step moves; ``lasts``
+    says of a share that its effect outlasts the step, as a speed of a rotor does.
     """
 
     name: str

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from halfshaft.studies.acceleration import accelerate
     from halfshaft.studies.batch import run_batch
     from halfshaft.studies.compare import compare
+    from halfshaft.studies.optimal import optimal
     from halfshaft.studies.pictures import plot_sweep
     from halfshaft.studies.sweep import sweep
 
@@ -31,6 +32,7 @@ __all__ = [
     "compare",
     "component_names",
     "cycle_names",
+    "optimal",
     "plot_run",
     "plot_sweep",
     "run",
@@ -51,6 +53,7 @@ _HOMES = {
     "compare": "studies.compare",
     "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",
+    "optimal": "studies.optimal",
     "plot_run": "cosim.plot",
     "plot_sweep": "studies.pictures",
     "run": "cosim.simulate",

@@ -30,6 +30,7 @@ from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import recorded, run
+from halfshaft.cosim.units import Units, shown
 from halfshaft.library.base.errors import InputError, SolveError, nearest, not_a, number
 from halfshaft.library.base.tags import Tag, part_of
 from halfshaft.models.vehicle import Vehicle
@@ -168,11 +169,22 @@ class Optimum:
         title = f"{self.vehicle.name} over {self.cycle.name}: control in use, ECMS and best"
         return data.assign_coords(way=[way.name for way in self.ways]).assign_attrs(title=title)
 
-    def plot(self, path: str | Path | None = None) -> Picture:
-        """Draw speed, power split, charge and fuel of the control in use and of the best way."""
-        from halfshaft.studies.optimal.picture import plot_optimum
+    def rows(self, units: Units = "metric") -> list[tuple[str, ...]]:
+        """Return the lines of a table: name, fuel, that over the best, charge at both ends, time and starts of the source."""
+        lines = []
+        for name, f in self.figures().items():
+            fuel = shown("economy", f["fuel_L_per_100km"], units).partition(" ")[0]
+            charges = (f"{100 * f[end]:.2f}" for end in ("soc_start", "soc_end"))
+            lines.append(
+                (name, fuel, f"{100 * f['excess']:.2f}", *charges, f"{100 * f['source_share_of_time']:.0f}", f"{f['source_starts']:.0f}")
+            )
+        return lines
 
-        return plot_optimum(self, path=path)
+    def plot(self, *, units: Units = "metric", path: str | Path | None = None) -> Picture:
+        """Draw speed, power split, gears, charge and fuel of the control in use and of the best way."""
+        from halfshaft.studies.optimal.picture import plot_optimum  # matplotlib takes a quarter of a second
+
+        return plot_optimum(self, units=units, path=path)
 
 
 def optimal(

@@ -142,7 +142,8 @@ class Problem:
             n, *map(address, (s.dt, s.v, s.grade, s.key_on)), 0 if distance is None else len(distance), *map(address, (distance, grade)),
             address(self.parameters), address(x), len(candidates), address(each), address(whole[4]), len(kinds), len(prices), places,
             address(numbers[0]), *map(address, numbers[2:]), step.state_index[step.tags.the("charge")],
-            len(fuels), address(whole[0]), address(numbers[1]), len(motions), len(errors), address(whole[1]), address(whole[2]), WORTH / pack_energy(self.vehicle),
+            len(fuels), address(whole[0]), address(numbers[1]), len(motions), len(errors),
+            *map(address, whole[1:3]), WORTH / pack_energy(self.vehicle),
             len(memories), address(whole[3]), most, *map(address, (count, origin, by, end)), 0,
         )  # fmt: skip
         failed = _library(Build(self.vehicle), self.free, bool(np.all(np.frexp(s.dt)[0] == 0.5))).hs_search(ctypes.byref(job), threads)
@@ -237,7 +238,8 @@ class _Job(ctypes.Structure):
             (ctypes.c_void_p, "grade_distance grade_value p x"), (ctypes.c_long, "candidates"), (ctypes.c_void_p, "commands kind"),
             (ctypes.c_long, "kinds families places"), (ctypes.c_void_p, "price low high slowest fastest"),
             (ctypes.c_long, "at_charge fuels"), (ctypes.c_void_p, "at_fuel heating"), (ctypes.c_long, "motions errors"),
-            (ctypes.c_void_p, "at_motion at_error"), (ctypes.c_double, "worth"), (ctypes.c_long, "memories"), (ctypes.c_void_p, "at_memory"),
+            (ctypes.c_void_p, "at_motion at_error"),
+             (ctypes.c_double, "worth"), (ctypes.c_long, "memories"), (ctypes.c_void_p, "at_memory"),
             (ctypes.c_long, "most"), (ctypes.c_void_p, "count origin by end"), (ctypes.c_long, "dead"),
         )
         for name in names.split()
