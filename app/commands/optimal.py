@@ -98,7 +98,7 @@ def _json(optimum: Optimum) -> dict[str, object]:
         "vehicle": optimum.vehicle.name,
         "cycle": optimum.cycle.name,
         "ways": optimum.figures(),
-        "equivalence_factor": optimum.equivalence,
+        "equivalence_factor": optimum.price,
         "passes": [p._asdict() for p in optimum.passes],
         "commands": {name: row.tolist() for name, row in optimum.best.commands.items()},
         "notes": optimum.notes,
@@ -108,7 +108,7 @@ def _json(optimum: Optimum) -> dict[str, object]:
 def _print(optimum: Optimum, units: Units) -> None:
     """Print the three ways beside each other."""
     out = console()
-    how = f"{optimum.cycle.name}, a store's energy is worth {optimum.equivalence:.2f} of fuel"
+    how = f"{optimum.cycle.name}, a store's energy is worth {optimum.price:.2f} of fuel"
     out.print(f"[bold]{escape(optimum.vehicle.name)}[/]  [dim]{escape(how)}[/]", highlight=False, soft_wrap=True)
     table = new_table()
     headings = ("way", f"fuel [{SYSTEMS[units]['economy'].name}]", "over best [%]", "charge [%]", "to [%]", "source on [%]", "starts")
