@@ -4,9 +4,11 @@ Of a hybrid everything stays as it is but the decisions of its controls: whether
 from outside (`halfshaft.library.base.component.Command`), and two methods look for the best ones, both on the exact step, over the whole
 cycle, and with the charge at the end that the control in use ends with:
 
-*ECMS* gives the charge a price, the same all the way, and minimises the fuel less what the charge is worth; the price (the co-state of
-Pontryagin's principle) is that at which the charge is kept, found by search for a root.  What a start or a change of gear costs shows a
-step later, so decisions that last are looked ahead for; a minimum taken step by step would never start an engine that must spin up first.
+*ECMS* gives the store's energy a price and minimises the fuel less what that energy is worth; the price (the equivalence factor, the
+co-state of Pontryagin's principle) is that at which the charge is kept, found by search for a root.  What a start or a change of gear
+costs shows a step later, so decisions that last are looked ahead for; a minimum taken step by step would never start an engine that must
+spin up first.  Where a price decides all or nothing, as between running always and never, no price keeps the charge: so it falls as the
+store fills (`BEND`), and where maps are straight two neighbouring prices are paid one after the other.
 
 *Dynamic programming* tells vehicles apart by their charge too.  Forward in time each of them is stepped with each command, and where
 several come to the same place the one that burnt least is kept, with its whole state.  So no value is interpolated, and each fuel that is
@@ -56,6 +58,8 @@ WIDE, NARROWED = 0.5, 0.3
 PASSES, ENOUGH, GAIN = 8, 2, 5e-4
 #: A corridor is touched where the charge comes as near to its edge, as a share of its half width.
 TOUCHED = 0.8
+#: By how much of itself the price of ECMS falls from an empty to a full store.
+BEND = 1.0
 #: Charges that are the same.
 SAME = 1e-12
 #: Where the charge ends if the store does not say.
@@ -236,6 +240,8 @@ def optimal(
             notes = (f"the control in use does not keep its charge: {len(corrected.record)} runs were tried",)
     else:
         in_use = run(vehicle, cycle, dt=dt)
+    if in_use.figures["trace_miss_max_mps"] > in_use.inputs.parameters[in_use.tags.the("miss threshold")]:
+        notes = (*notes, "the control in use misses the trace: the other ways may be as slow there, but no slower")
     if not in_use.account.fuel > 0:
         told = f"the control in use burns no fuel over {cycle.name}, so none can be saved; drive further, or start with less charge"
         raise InputError(f"optimum of '{vehicle.name}'", [told])
@@ -271,7 +277,10 @@ class _Task:
         low, high = self.window or ends
         if self.window is None:
             low, high = min(low, charge.min() - HAIR), max(high, charge.max() + HAIR)
-        return Bounds(low * ones, high * ones, np.minimum(asked, reached) - HAIR, np.maximum(asked, reached) + HAIR)
+        n, figures = len(ones), self.in_use.figures
+        plan = -self.in_use.account.battery * np.arange(1, n + 1) / n
+        bend = BEND / figures["pack_energy_J"]
+        return Bounds(bend, plan, low * ones, high * ones, np.minimum(asked, reached) - HAIR, np.maximum(asked, reached) + HAIR)
 
     @cached_property
     def candidates(self) -> Array:

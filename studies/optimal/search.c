@@ -52,6 +52,8 @@ typedef struct {
   const int *kind;           /* of each candidate; nodes that the last command left differently are told apart */
   long kinds, families, places;
   const double *price;       /* of each family, in each step: fuel for the energy that is held [1] */
+  double bend;               /* by how much less of itself a price is for each joule held beyond `plan` [1/J] */
+  const double *plan;        /* after each step [J] */
   const double *low, *high, *slowest, *fastest; /* after each step */
   long at_charge, fuels;
   const int *at_fuel;        /* states */
@@ -182,7 +184,8 @@ static void arrive(const search_job *j, long k, double scale, const double *x, c
     int place = (int)((charge[l] - low) * scale);
     place = place < places ? place : places - 1;
     slot[l] = able ? slot[l] * places + place : -1;
-    cost[l] -= price[family[l]] * after[l];
+    const double beyond = after[l] - j->plan[k];
+    cost[l] -= price[family[l]] * (after[l] - 0.5 * j->bend * beyond * beyond);
   }
 }
 

@@ -46,8 +46,14 @@ class Found(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What may be after each step: charge, and speed [m/s]; all rows of ``n`` numbers."""
+    """What may be after each step, and what is planned: rows of ``n`` numbers.
 
+    A price falls by `bend` of itself with each joule that is held beyond the plan [1/J, J].  Low and high are charges, slowest and
+    fastest speeds [m/s].
+    """
+
+    bend: float
+    plan: Array
     low: Array
     high: Array
     slowest: Array
@@ -135,7 +141,7 @@ class Problem:
         families = prices.shape[-1]
         most = families * len(kinds) * places * GEARS ** len(memories)
         whole = [np.array(x, dtype=np.intc) for x in ([step.state_index[f] for f in fuels.values()], held, errors, memories, kind)]
-        rows = (np.broadcast_to(prices, (n, families)), [heating[part] for part in fuels], worth, *bounds)
+        rows = (np.broadcast_to(prices, (n, families)), [heating[part] for part in fuels], worth, *bounds[1:])
         numbers = [np.ascontiguousarray(x, dtype=float) for x in rows]
         count, origin, by = np.zeros(n, np.intc), np.zeros((n, most), np.intc), np.zeros((n, most), np.short)
         x, end = self.compiled.first(self.parameters), np.zeros((most, 3))
@@ -144,7 +150,7 @@ class Problem:
         job = _Job(
             n, *map(address, (s.dt, s.v, s.grade, s.key_on)), 0 if distance is None else len(distance), *map(address, (distance, grade)),
             address(self.parameters), address(x), len(candidates), address(each), address(whole[4]), len(kinds), families, places,
-            address(numbers[0]), *map(address, numbers[3:]), step.state_index[step.tags.the("charge")],
+            address(numbers[0]), bounds.bend, *map(address, numbers[3:]), step.state_index[step.tags.the("charge")],
             len(fuels), address(whole[0]), address(numbers[1]), len(held), len(errors),
             *map(address, whole[1:3]), address(numbers[2]),
             len(memories), address(whole[3]), most, *map(address, (count, origin, by, end)), 0,
@@ -233,7 +239,8 @@ class _Job(ctypes.Structure):
         for kind, names in (
             (ctypes.c_long, "n"), (ctypes.c_void_p, "dt v grade key_on"), (ctypes.c_long, "n_grade"),
             (ctypes.c_void_p, "grade_distance grade_value p x"), (ctypes.c_long, "candidates"), (ctypes.c_void_p, "commands kind"),
-            (ctypes.c_long, "kinds families places"), (ctypes.c_void_p, "price low high slowest fastest"),
+            (ctypes.c_long, "kinds families places"), (ctypes.c_void_p, "price"), (ctypes.c_double, "bend"),
+            (ctypes.c_void_p, "plan low high slowest fastest"),
             (ctypes.c_long, "at_charge fuels"), (ctypes.c_void_p, "at_fuel heating"), (ctypes.c_long, "powers errors"),
             (ctypes.c_void_p, "at_power at_error worth"),
              (ctypes.c_long, "memories"), (ctypes.c_void_p, "at_memory"),
