@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 from rich.markup import escape
@@ -15,6 +15,7 @@ from halfshaft.cosim.units import SYSTEMS, Units
 
 if TYPE_CHECKING:
     from halfshaft.studies.optimal import Optimum
+    from halfshaft.studies.optimal.optimum import Charge
 
 
 @app.command(
@@ -71,7 +72,9 @@ def _optimal(
     car, driven = checks.done(found), checks.done(trace)
     with busy(f"optimal: {car.name}"):
         # What is not allowed is found by the study, with all else that is wrong.
-        both = optimal(car, driven, charge=charge, keep=keep or (), window=between, places=places, points=points, dt=dt)
+        both = optimal(
+            car, driven, charge=cast("Charge | None", charge), keep=keep or (), window=between, places=places, points=points, dt=dt
+        )
     if plot is not None:
         both.plot(units=units, path=plot)
     if out is not None:

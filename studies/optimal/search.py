@@ -187,7 +187,7 @@ def _values(command: Command, points: int) -> Sequence[float]:
     """Return what may be tried of a command."""
     whole = command.highest - command.lowest
     parts = max(round((points - 1) / whole), 1) if command.kind == "share" else 1
-    return np.linspace(command.lowest, command.highest, round(whole * parts) + 1).tolist()
+    return [command.lowest + i / parts for i in range(round(whole * parts) + 1)]
 
 
 def _grade_at(distance: float, road: tuple[Array, Array]) -> float:
