@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from halfshaft.validation.sizes import CARS, CURVE, sized
+from halfshaft.validation.sizes import CARS, CURVE, given_motor, sized
 
 
 @pytest.mark.parametrize(("name", "modules"), [("series", 0), ("parallel", 1)])
@@ -17,6 +17,14 @@ def test_engine_and_modules_are_near_the_published_ones(name: str, modules: int)
     assert own.after["store"] == pytest.approx(published["battery.n_modules"], abs=modules)
     # The original left motors larger than its goals need; docs/autosize.md.
     assert own.vehicle.values["motor.torque_scale"] < 0.65 * published["motor.torque_scale"]
+
+
+def test_the_published_series_car_does_what_it_was_sized_for_and_needs_its_modules() -> None:
+    found, published = given_motor("series"), CARS["series"]
+    assert all(r.goal.met(r.before) for r in found.goals)
+    assert found.after["store"] == published.sizes["battery.n_modules"]
+    assert found.binds["store"] == "40 to 60 mph [s], 0 to 85 mph [s]"
+    assert published.vehicle.mass == published.mass
 
 
 def test_the_engine_gives_way_to_battery_and_motor_as_hybridisation_grows() -> None:
