@@ -27,8 +27,8 @@ from halfshaft.library.base.errors import CompileError, SolveError
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.vehicle import Vehicle
 
-#: So many gears are told apart.
-GEARS = 16
+#: So many gears are told apart; so many parts of a share whose effect lasts beside places of the charge, and without.
+GEARS, PARTS, MOST = 16, 8, 1e6
 #: Lines of the account that a price is paid for, with their worth over the store's energy: what the store gains, and what moves, which
 #: gives most of it back; what the method gains by its own errors is paid for, so that no way is found that lives on them.
 HELD: Mapping[str, float] = {"stored": -1.0, "kinetic": 0.9}
@@ -94,10 +94,10 @@ class Problem:
                 rows.append(values)
         return np.array(rows, dtype=float)
 
-    def kinds(self, candidates: Array) -> Array:
-        """Return of each candidate by what nodes are told apart that it leads to: flags, and shares whose effect lasts."""
-        kept = [i for i, c in enumerate(self.step.commands.values()) if c.lasts or c.kind == "flag"]
-        return candidates[:, kept]
+    def kinds(self, candidates: Array, parts: float) -> Array:
+        """Return of each candidate by what nodes are told apart that it leads to: flags, and parts of shares whose effect lasts."""
+        kept = [(i, parts if c.lasts else 1) for i, c in enumerate(self.step.commands.values()) if c.lasts or c.kind == "flag"]
+        return np.column_stack([np.floor(candidates[:, i] * n) for i, n in kept])
 
     def replay(self, commands: Array) -> tuple[Array, Array]:
         """Return outputs and last state of the exact step under commands."""
@@ -131,7 +131,7 @@ class Problem:
         """
         step, n = self.step, len(self.samples.t)
         memories = [step.state_index[f"{name.partition('.')[0]}.{c.memory}"] for name, c in step.commands.items() if c.memory]
-        kinds, kind = np.unique(self.kinds(candidates), axis=0, return_inverse=True)
+        kinds, kind = np.unique(self.kinds(candidates, PARTS if places > 1 else MOST), axis=0, return_inverse=True)
         bookings = [d.booking for d in _in_lanes(step).outputs]
         held, errors = ([i for i, booking in enumerate(bookings) if booking in lines] for lines in (HELD, ERRORS))
         worth = [*(HELD[bookings[i]] for i in held), *(ERRORS[bookings[i]] for i in errors)]
