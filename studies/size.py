@@ -1,0 +1,373 @@
+"""Size: the vehicle of least fuel, energy, mass or cost that does what it must, which limits bind, and what each of them costs.
+
+The problem is told in words (`halfshaft.studies.sizing.problem`).  With derivatives it is solved in four steps:
+
+1. vehicles all over the bounds are looked at for the limits that drive no cycle: which are feasible, and what is not at all;
+2. IPOPT solves the relaxed problem, whole numbers as any others, from the vehicle itself and from the best points of the scan;
+3. on the exact step, sequential linear programs end at a vehicle as it would be built, for the whole numbers on either side of the relaxed
+   ones and for neighbours as long as these are better;
+4. the first-order conditions there give what each limit costs.
+
+``evolution`` is the same without derivatives: `scipy.optimize.differential_evolution`, a generation at once on the batch engine.  Whatever
+found it, the answer is run again by the tasks themselves, and said to hold or not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from halfshaft.library.base.errors import InputError, number
+from halfshaft.library.files.notebook import Grid, card
+from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.sizing.evaluator import Bench, Effort, Tried
+from halfshaft.studies.sizing.evolution import evolve
+from halfshaft.studies.sizing.ipopt import Solved
+from halfshaft.studies.sizing.multipliers import Multipliers, multipliers_of
+from halfshaft.studies.sizing.problem import Bound, Limit, Problem, Variable
+from halfshaft.studies.sizing.problem_file import read_problem
+from halfshaft.studies.sizing.solver import minimise
+
+if TYPE_CHECKING:
+    from halfshaft.cosim.plot import Picture
+
+Method: TypeAlias = Literal["ipopt", "evolution"]
+METHODS: tuple[Method, ...] = get_args(Method)
+#: Every limit holds; no vehicle within the bounds meets all; the best so far, which holds or not.
+Status: TypeAlias = Literal["holds", "infeasible", "interrupted"]
+#: Starts of IPOPT, and evaluations of differential evolution.
+STARTS, EVALUATIONS = 3, 5000
+MOST_STARTS, MOST_EVALUATIONS = 100, 1_000_000
+#: First-order conditions that are missed by more than this share are said.
+REST = 0.2
+#: A limit that costs less than this share of the goal for 1 % of its target does not bind.
+NOTHING = 1e-6
+
+
+@dataclass(frozen=True)
+class LimitFound:
+    """A limit: its values before and after [SI, or the figure's unit], and by how much the goal rises per unit that it gets tighter."""
+
+    limit: Limit
+    before: float
+    after: float
+    holds: bool
+    price: float
+
+    @property
+    def said(self) -> str:
+        """What the limit costs, in the user's units; empty where it does not bind."""
+        if not self.price > 0:
+            return ""
+        return f"{self.price * self.limit.factor:.3g} per {self.limit.unit or 'unit'}"
+
+
+@dataclass(frozen=True)
+class VariableFound:
+    """A variable: its values before and after [SI], the bound that it is at, and the goal's slope there per unit of the user."""
+
+    variable: Variable
+    before: float
+    after: float
+    at: Literal["", "lower bound", "upper bound"]
+    slope: float
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The best vehicle that was found.
+
+    Parameters
+    ----------
+    problem, bound
+        What was asked for, and with which parts.
+    vehicle
+        The vehicle, to run, save and change as any other.
+    status
+        ``holds``, ``infeasible`` or ``interrupted``.
+    holds
+        Whether every limit holds on the exact step, by the tasks themselves.
+    goal, goal_before
+        What was to be least, after and before.
+    variables, limits
+        What was found for each.
+    tried
+        Every vehicle that was tried as it would be built, in order.
+    runs
+        The runs of IPOPT, each with its iterations.
+    effort
+        How much was evaluated.
+    notes
+        What a user should know.
+
+    """
+
+    problem: Problem
+    bound: Bound = field(repr=False)
+    method: Method
+    vehicle: Vehicle
+    status: Status
+    holds: bool
+    goal: float
+    goal_before: float
+    variables: tuple[VariableFound, ...] = field(repr=False)
+    limits: tuple[LimitFound, ...] = field(repr=False)
+    tried: tuple[Tried, ...] = field(repr=False)
+    runs: tuple[Solved, ...] = field(repr=False)
+    effort: Effort
+    notes: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The values of the variables [SI]."""
+        return {v.variable.name: v.after for v in self.variables}
+
+    @property
+    def binding(self) -> dict[str, float]:
+        """What each limit that binds costs: by how much the goal rises per unit of the limit, as the user has it, that it gets tighter."""
+        return {f.limit.title: f.price * f.limit.factor for f in self.limits if f.price > 0}
+
+    @cached_property
+    def figures(self) -> dict[str, float | None]:
+        """Goal, variables and limits by name."""
+        found = {"holds": float(self.holds), "goal": self.goal, **self.values}
+        return found | {f.limit.title: f.after if math.isfinite(f.after) else None for f in self.limits}
+
+    def plot(self, path: str | Path | None = None) -> Picture:
+        """Draw how it went; with a path into a PNG, SVG or PDF file."""
+        from halfshaft.studies.sizing.picture import plot_optimum  # matplotlib takes a quarter of a second
+
+        return plot_optimum(self, path=path)
+
+    def report(self, path: str | Path) -> Path:
+        """Write a page of HTML with tables and picture."""
+        from halfshaft.studies.sizing.report import write_report
+
+        return write_report(self, path)
+
+    def variable_rows(self) -> list[tuple[str, ...]]:
+        """Return name, bounds, before, after and what holds it, of each variable and of the mass, as texts."""
+        rows = [
+            (v.variable.name, f"{v.variable.shown(v.variable.low)} to {v.variable.shown(v.variable.high)}", v.variable.shown(v.before),
+             v.variable.shown(v.after), v.at)
+            for v in self.variables
+        ]  # fmt: skip
+        rows += [(role, f"{len(self.problem.choices[role])} parts", self.problem.vehicle.parts[role].name, name, "")
+                 for role, name in self.bound.parts.items()]  # fmt: skip
+        return [*rows, ("mass", "", f"{self.problem.vehicle.mass:.0f} kg", f"{self.vehicle.mass:.0f} kg", "")]
+
+    def limit_rows(self) -> list[tuple[str, ...]]:
+        """Return title, target, before, after, what it costs, and whether it holds, of each limit, as texts."""
+        return [
+            (f.limit.title, f.limit.wanted, f.limit.shown(f.before), f.limit.shown(f.after), f.said, "holds" if f.holds else "missed")
+            for f in self.limits
+        ]
+
+    def goal_row(self) -> tuple[str, ...]:
+        """Return the goal with its value before and after, as texts."""
+        return (self.problem.minimise, self.bound.goal_unit, f"{self.goal_before:.5g}", f"{self.goal:.5g}")
+
+    def _repr_html_(self) -> str:
+        facts = {"status": self.status, "method": self.method, "notes": "; ".join(self.notes)}
+        return card(
+            self.problem.name, self.problem.title, facts,
+            Grid(("goal", "unit", "before", "after"), [self.goal_row()]),
+            Grid(("variable", "bounds", "before", "after", ""), self.variable_rows()),
+            Grid(("limit", "target", "before", "after", "costs", ""), self.limit_rows()),
+        )  # fmt: skip
+
+
+def size(
+    problem: Problem | str | Path,
+    *,
+    method: Method = "ipopt",
+    starts: int = STARTS,
+    evaluations: int = EVALUATIONS,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Optimum:
+    """Find the vehicle with the least of what a problem names, within its limits.
+
+    An interrupt (Ctrl-C) ends the search: the best vehicle so far is returned.
+
+    Parameters
+    ----------
+    problem
+        A problem, the name of one in the library, or a TOML file.
+    method
+        ``ipopt`` with derivatives, ``evolution`` without.
+    starts
+        From how many points IPOPT starts.
+    evaluations
+        How many vehicles differential evolution may try.
+    seed
+        The same one draws the same points.
+    progress
+        Is told what is being done.
+
+    Raises
+    ------
+    InputError
+        If the problem or an option is not what it must be; everything that is wrong is named at once.
+    KeyboardInterrupt
+        If it was interrupted before any vehicle was tried.
+
+    """
+    wrong = [] if method in METHODS else [f"method = {method!r}, must be {' or '.join(METHODS)}"]
+    for name, x, most in (("starts", starts, MOST_STARTS), ("evaluations", evaluations, MOST_EVALUATIONS)):
+        if not (number(x) == int(number(x) if math.isfinite(number(x)) else 0) and 1 <= x <= most):
+            wrong.append(f"{name} = {x!r}, must be a whole number from 1 to {most}")
+    if wrong:
+        raise InputError("size", wrong)
+    if isinstance(problem, str | Path):
+        problem = read_problem(problem)
+    found: list[Optimum] = []
+    each = problem.combinations()
+    bounds = [problem.bound(parts) for parts in each]
+    for parts, bound in zip(each, bounds, strict=True):
+        progress(", ".join([problem.name, *parts.values()]))
+        found.append(_sized(bound, method, starts, evaluations, seed, progress))
+        if found[-1].status == "interrupted":
+            break
+    best = min(found, key=lambda o: (not o.holds, o.goal if o.holds else _missed(o)))
+    if len(found) == 1:
+        return best
+    others = [
+        f"{', '.join(o.bound.parts.values())}: {o.goal:.5g}" if o.holds else f"{', '.join(o.bound.parts.values())}: {o.status}"
+        for o in found
+    ]
+    status: Status = "interrupted" if found[-1].status == "interrupted" else best.status
+    total = Effort(*(sum(x) for x in zip(*((o.effort.cycles, o.effort.slopes, o.effort.limits) for o in found), strict=True)))
+    return replace(best, status=status, effort=total, notes=(*best.notes, f"the goal by parts: {'; '.join(others)}"))
+
+
+def _missed(optimum: Optimum) -> float:
+    return sum(min(max(f.limit.sign * (f.after - f.limit.target) / f.limit.scale, 0.0), 10.0) if math.isfinite(f.after) else 10.0
+               for f in optimum.limits)  # fmt: skip
+
+
+def _sized(bound: Bound, method: Method, starts: int, evaluations: int, seed: int, progress: Callable[[str], None]) -> Optimum:
+    """Return the best vehicle with some parts."""
+    bench, runs, interrupted = Bench(bound, stage="start"), list[Solved](), False
+    try:
+        before = bench.at(bench.start)
+        if method == "evolution":
+            evolve(bench, evaluations=evaluations, seed=seed)
+        else:
+            minimise(bench, starts=starts, seed=seed, note=runs.append)
+    except KeyboardInterrupt:
+        if not bench.tried:
+            raise
+        interrupted = True
+        before = bench.tried[0]
+    return _answer(bench, method, runs, before, interrupted=interrupted)
+
+
+def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, interrupted: bool) -> Optimum:
+    """Return what was found, run again as it would be built."""
+    bound, notes = bench.problem, list[str]()
+    bench.stage = "again"
+    # Lanes and single runs differ in the last digit, so the best of one may not hold in the other.
+    for best in bench.ranked():
+        again = bench.at(bench.scaled(best.x))
+        if again.holds or not best.holds:
+            break
+    u = bench.scaled(again.x)
+    car = bench.vehicle(u)
+    status: Status = "interrupted" if interrupted else "holds" if again.holds else "infeasible"
+    multipliers: Multipliers | None = None
+    slope = np.full(len(u), np.nan)
+    if again.holds and not interrupted:
+        slopes = bench.slopes(u)
+        slope = slopes.goal_gradient / np.where(bench.span > 0, bench.span, 1.0)
+        free = (bench.span > 0) & ~bench.whole
+        multipliers = multipliers_of(u, slopes, again.excess, free)
+        if multipliers.rest > REST and free.any():
+            notes.append(
+                f"the slopes of goal and limits balance to {100 * multipliers.rest:.0f} % only: here something jumps, and prices are rough"
+            )
+    prices = np.zeros(len(bound.limits)) if multipliers is None else multipliers.limits
+    limits = tuple(
+        LimitFound(
+            limit, float(old), float(new), bool(excess <= 1e-9), float(price / limit.scale) if price > NOTHING * abs(again.goal) else 0.0
+        )
+        for limit, old, new, excess, price in zip(bound.limits, before.values, again.values, again.excess, prices, strict=True)
+    )
+    variables = tuple(
+        VariableFound(
+            v, float(old), float(new), "lower bound" if new <= v.low else "upper bound" if new >= v.high else "", float(s * v.factor)
+        )
+        for v, old, new, s in zip(bound.variables, _own(bench), again.x, slope, strict=True)
+    )
+    if status == "infeasible":
+        notes += _unmet(bench)
+    if interrupted:
+        notes.append("interrupted: the best so far " + ("holds" if again.holds else "does not hold"))
+    if car.tags.the("vehicle mass") in car.given:
+        notes.append("the mass is set, so it does not follow the sizes")
+    return Optimum(
+        problem=bound.problem, bound=bound, method=method,
+        vehicle=replace(car, name=f"{bound.problem.name}-sized", title=f"{bound.problem.vehicle.title}, sized"),
+        status=status, holds=again.holds, goal=again.goal, goal_before=before.goal, variables=variables, limits=limits,
+        tried=tuple(bench.tried), runs=tuple(runs), effort=bench.effort, notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _own(bench: Bench) -> list[float]:
+    """Return the values of the vehicle itself."""
+    values = bench.problem.vehicle.values
+    return [values[name] / share for v in bench.problem.variables for name, share in list(v.shares.items())[:1]]
+
+
+def _unmet(bench: Bench) -> list[str]:
+    """Return which limits cannot be met: alone, or not with the others."""
+    found = np.array([t.values for t in (*bench.tried, *bench.looked)]).reshape(-1, len(bench.problem.limits))
+    nearest = bench.ranked()[0]
+    said = []
+    for i, limit in enumerate(bench.problem.limits):
+        reached = found[:, i][np.isfinite(found[:, i])]
+        best = limit.sign * np.min(limit.sign * reached) if len(reached) else np.nan
+        if not len(reached) or limit.sign * (best - limit.target) > 1e-9 * limit.scale:
+            said.append(f"{limit.title} {limit.wanted} cannot be met within the bounds: at best {limit.shown(float(best))}")
+    if not said:
+        missed = [f"{limit.title} {limit.wanted} ({limit.shown(float(x))})" for limit, x, e in
+                  zip(bench.problem.limits, nearest.values, nearest.excess, strict=True) if e > 1e-9]  # fmt: skip
+        said.append(f"the limits cannot be met together: the nearest vehicle misses {' and '.join(missed) or 'a goal that is a number'}")
+    return said
+
+
+def results(optimum: Optimum) -> Mapping[str, object]:
+    """Return an optimum as plain data, for JSON."""
+    return {
+        "problem": optimum.problem.name,
+        "vehicle": optimum.problem.vehicle.name,
+        "method": optimum.method,
+        "status": optimum.status,
+        "holds": optimum.holds,
+        "parts": optimum.bound.parts,
+        "goal": {
+            "expression": optimum.problem.minimise, "unit": optimum.bound.goal_unit, "before": optimum.goal_before, "after": optimum.goal,
+        },
+        "variables": {
+            v.variable.name: {
+                "before": v.before, "after": v.after, "low": v.variable.low, "high": v.variable.high, "at": v.at, "slope": v.slope,
+            }
+            for v in optimum.variables
+        },
+        "mass_kg": {"before": optimum.problem.vehicle.mass, "after": optimum.vehicle.mass},
+        "limits": [
+            {
+                "limit": f.limit.title, "sense": f.limit.sense, "target": f.limit.target / f.limit.factor, "unit": f.limit.unit,
+                "before": f.before / f.limit.factor, "after": f.after / f.limit.factor, "holds": f.holds, "price": f.price * f.limit.factor,
+            }
+            for f in optimum.limits
+        ],
+        "evaluations": {"cycles": optimum.effort.cycles, "of_these_with_gradient": optimum.effort.slopes, "limits": optimum.effort.limits},
+        "notes": optimum.notes,
+    }  # fmt: skip

@@ -1,0 +1,237 @@
+"""Evaluates the vehicles of a problem, counts what that takes, and keeps all that was tried.
+
+Points are scaled: 0 and 1 are the bounds of each variable.  A limit is told by its *excess*, how far its value is on the wrong side of the
+target, over the target; at most 0 where it holds.  What was never reached has an infinite one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from halfshaft.cosim.compiled import Array
+from halfshaft.library.base.errors import HalfshaftError
+from halfshaft.library.base.tables import Table
+from halfshaft.models.powertrain import powertrains
+from halfshaft.models.rules import SumOfParts
+from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.sizing.probes import Probe, probe_of
+from halfshaft.studies.sizing.problem import OWN, Bound, Ref, Term
+
+#: A limit holds up to rounding.
+ROUNDING = 1e-9
+
+
+class Tried(NamedTuple):
+    """A vehicle that was tried: by what, its values [SI], its goal, the values of its limits, and their excesses."""
+
+    stage: str
+    x: Array
+    goal: float
+    values: Array
+    excess: Array
+
+    @property
+    def worst(self) -> float:
+        """The largest excess; 0 where all limits hold."""
+        return float(max(np.max(self.excess, initial=0.0), 0.0))
+
+    @property
+    def holds(self) -> bool:
+        """Whether all limits hold and the goal is known."""
+        return self.worst <= ROUNDING and bool(np.isfinite(self.goal))
+
+
+class Slopes(NamedTuple):
+    """A goal and the excesses of the limits, with their gradients over the scaled variables."""
+
+    goal: float
+    excess: Array
+    goal_gradient: Array
+    excess_gradient: Array
+
+
+@dataclass
+class Effort:
+    """What was evaluated: vehicles over their cycles, gradients of these, and vehicles for their limits alone."""
+
+    cycles: int = 0
+    slopes: int = 0
+    limits: int = 0
+
+
+@dataclass
+class Bench:
+    """Tries vehicles.
+
+    Parameters
+    ----------
+    problem
+        What is asked of them.
+    stage
+        What is under way, for the record.
+    tried
+        All vehicles as they would be built, in order.
+    looked
+        Those that drove no cycle.
+
+    """
+
+    problem: Bound
+    stage: str = ""
+    tried: list[Tried] = field(default_factory=list)
+    looked: list[Tried] = field(default_factory=list)
+    effort: Effort = field(default_factory=Effort)
+
+    @cached_property
+    def low(self) -> Array:
+        """The lower bounds [SI]."""
+        return np.array([v.low for v in self.problem.variables])
+
+    @cached_property
+    def span(self) -> Array:
+        """What is between the bounds [SI]."""
+        return np.array([v.high - v.low for v in self.problem.variables])
+
+    @cached_property
+    def whole(self) -> Array:
+        """Which variables are whole numbers."""
+        return np.array([v.whole for v in self.problem.variables], dtype=bool)
+
+    @cached_property
+    def probes(self) -> dict[str, Probe]:
+        """How each task is asked."""
+        return {OWN: probe_of(None)} | {key: probe_of(task) for key, task in self.problem.tasks.items()}
+
+    @cached_property
+    def start(self) -> Array:
+        """Where the vehicle itself is, or the nearest point between the bounds."""
+        values = self.problem.vehicle.values
+        x = [values[name] / share for v in self.problem.variables for name, share in list(v.shares.items())[:1]]
+        return self.scaled(np.array(x))
+
+    def scaled(self, x: Array) -> Array:
+        """Return a point of values, within the bounds."""
+        with np.errstate(all="ignore"):
+            u = np.where(self.span > 0, (x - self.low) / self.span, 0.0)
+        return np.clip(u, 0.0, 1.0)
+
+    def values(self, u: Array) -> Array:
+        """Return the values of a point [SI]; a row each for many points."""
+        return self.low + np.asarray(u) * self.span
+
+    def rounded(self, u: Array) -> Array:
+        """Return the nearest point whose whole numbers are whole."""
+        x = self.values(u)
+        return self.scaled(np.where(self.whole, np.round(x), x))
+
+    def numbers(self, u: Array, *, exact: bool) -> dict[str, float]:
+        """Return the vehicle's numbers at a point."""
+        rows = zip(self.problem.variables, self.values(u), strict=True)
+        return {name: y for v, x in rows for name, y in v.values(float(x), exact=exact).items()}
+
+    def vehicle(self, u: Array) -> Vehicle:
+        """Return the vehicle at a point as it would be built."""
+        return self.problem.vehicle.with_values(self.numbers(u, exact=True))
+
+    def at(self, u: Array, *, goal: bool = True) -> Tried:
+        """Try a vehicle as it would be built, by the tasks themselves; without its goal, only what drives no cycle."""
+        figures: dict[str, Mapping[str, float]] = {}
+        with suppress(HalfshaftError):
+            car = self.vehicle(u)
+            figures = {key: self.probes[key].at(car) for key in self._wanted(goal=goal)}
+        return self._noted(u, figures, goal=goal)
+
+    def _noted(self, u: Array, figures: Mapping[str, Mapping[str, float]], *, goal: bool) -> Tried:
+        def value(term: Term) -> float:
+            if not all(ref.figure in figures.get(ref.task, ()) for ref in term.refs):
+                return np.nan
+            return float(term.expression(np.array([figures[ref.task][ref.figure] for ref in term.refs]))[0][0])
+
+        reached = np.array([value(limit.term) for limit in self.problem.limits])
+        known = np.array([goal or not self._drives(limit.term) for limit in self.problem.limits], dtype=bool)
+        excess = np.where(known, self.excess(reached), -np.inf)
+        tried = Tried(self.stage, self.values(u), value(self.problem.goal) if goal else np.nan, reached, excess)
+        if goal:
+            self.effort.cycles += 1
+        else:
+            self.effort.limits += 1
+        (self.tried if goal else self.looked).append(tried)
+        return tried
+
+    def many(self, points: Array, *, goal: bool = True, base: Vehicle | None = None) -> list[Tried]:
+        """Try many vehicles at once, as they would be built or on a base that is smooth."""
+        rows = [self.numbers(u, exact=base is None) for u in points]
+        columns = {name: np.array([row[name] for row in rows]) for name in self.problem.names}
+        found = {
+            key: self.probes[key].many(base or self.problem.vehicle, columns, wanted) for key, wanted in self._wanted(goal=goal).items()
+        }
+        each = [{key: {name: float(x[i]) for name, x in of.items()} for key, of in found.items()} for i in range(len(points))]
+        return [self._noted(u, figures, goal=goal) for u, figures in zip(points, each, strict=True)]
+
+    def slopes(self, u: Array, base: Vehicle | None = None) -> Slopes:
+        """Return goal and excesses on a smooth base, with their gradients over the scaled variables."""
+        base = base or smooth(self.vehicle(u))
+        limits, terms = self.problem.limits, [self.problem.goal, *(limit.term for limit in self.problem.limits)]
+        car, names = base.with_values(self.numbers(u, exact=False)), self.problem.names
+        # What a scaled variable does to each number.
+        chain = np.array([[v.shares.get(name, 0.0) for v in self.problem.variables] for name in names]) * self.span
+        found: dict[Ref, tuple[float, Array]] = {}
+        for key, wanted in self._wanted(goal=True).items():
+            figures, gradients = self.probes[key].slopes(car, names, wanted)
+            found |= {Ref(key, figure): (figures[figure], gradients[figure] @ chain) for figure in wanted}
+        values, rows = [], []
+        for term in terms:
+            value, own = term.expression(np.array([found[ref][0] for ref in term.refs]))
+            values.append(value[0])
+            rows.append(own[0] @ np.array([found[ref][1] for ref in term.refs]))
+        scales = np.array([limit.sign / limit.scale for limit in limits])
+        self.effort.slopes += 1
+        self.effort.cycles += max(probe.cost(names) for probe in self.probes.values() if probe.drives)
+        return Slopes(values[0], self.excess(np.array(values[1:])), rows[0], np.array(rows[1:]).reshape(len(limits), -1) * scales[:, None])
+
+    def excess(self, values: Array) -> Array:
+        """Return how far values of the limits are on the wrong side, over the targets."""
+        limits = self.problem.limits
+        sign, target, scale = (np.array([getattr(limit, of) for limit in limits]) for of in ("sign", "target", "scale"))
+        found = sign * (values - target) / scale if limits else np.zeros(0)
+        return np.where(np.isnan(found), np.inf, found)
+
+    def ranked(self) -> list[Tried]:
+        """Return the record, the best vehicle first: of those that hold by their goal, then by how much they miss."""
+
+        def missed(t: Tried) -> float:
+            return float(np.sum(np.clip(t.excess, 0.0, 10.0))) + 10.0 * (not np.isfinite(t.goal))
+
+        return sorted(self.tried, key=lambda t: (0.0, t.goal) if t.holds else (1.0 + missed(t), 0.0))
+
+    def _drives(self, term: Term) -> bool:
+        return any(self.probes[ref.task].drives for ref in term.refs)
+
+    def _wanted(self, *, goal: bool) -> dict[str, list[str]]:
+        """Return the figures that are needed by task; without the goal only of tasks that drive no cycle."""
+        wanted: dict[str, list[str]] = {}
+        terms = [self.problem.goal] * goal + [limit.term for limit in self.problem.limits]
+        for ref in dict.fromkeys(ref for term in terms for ref in term.refs):
+            if goal or not self.probes[ref.task].drives:
+                wanted.setdefault(ref.task, []).append(ref.figure)
+        return wanted
+
+
+def smooth(vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle whose mass is not rounded, and whose maps stay when numbers change that a rule made them from: these go in steps."""
+    rules = dict(vehicle.rules)
+    mass = vehicle.tags.the("vehicle mass")
+    if isinstance(rule := rules.get(mass), SumOfParts):
+        rules[mass] = replace(rule, whole=0.0)
+    parts = dict(vehicle.parts)
+    for d in powertrains()[vehicle.powertrain].derived:
+        if d.role in parts and isinstance(table := getattr(vehicle.parameters[d.role], d.parameter, None), Table):
+            parts[d.role] = replace(parts[d.role], values={**parts[d.role].values, d.parameter: table})
+            rules.pop(d.target, None)
+    return replace(vehicle, rules=rules, parts=parts)

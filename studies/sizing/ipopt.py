@@ -1,0 +1,193 @@
+"""The continuous problem by IPOPT through CasADi: whole numbers relaxed, the mass not rounded, gradients of whole runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from halfshaft.cosim.compiled import Array
+from halfshaft.studies.sizing.evaluator import Bench, Slopes, smooth
+
+#: Accuracy of the scaled conditions of an optimum, and with how much IPOPT is content after three such iterations.
+TOLERANCE, ACCEPTABLE = 1e-5, 3e-4
+#: What stands in place of an excess that is not finite: IPOPT then takes a shorter step.
+NOT_A_NUMBER = np.nan
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """One iteration: number, goal, largest excess, and the infeasibility of the dual as IPOPT tells it."""
+
+    number: int
+    goal: float
+    worst: float
+    u: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Where IPOPT ended: the scaled point, its goal and largest excess, the multipliers of the limits, what it said, and its iterations."""
+
+    u: Array
+    goal: float
+    worst: float
+    multipliers: Array
+    status: str
+    iterates: tuple[Iterate, ...]
+
+
+class _Model(ca.Callback):  # type: ignore[misc]
+    """Goal and excesses as a CasADi function whose Jacobian comes with the values."""
+
+    def __init__(self, n: int, m: int, at: Callable[[Array], Slopes]) -> None:
+        ca.Callback.__init__(self)
+        self.n, self.m, self.at = n, m, at
+        self._kept: list[Any] = []
+        self.construct("sizing", {})
+
+    def get_n_in(self) -> int:
+        return 1
+
+    def get_n_out(self) -> int:
+        return 2
+
+    def get_sparsity_in(self, _: int) -> Any:
+        return ca.Sparsity.dense(self.n, 1)
+
+    def get_sparsity_out(self, i: int) -> Any:
+        return ca.Sparsity.dense((1, self.m)[i], 1)
+
+    def eval(self, given: Any) -> Any:
+        found = self.at(np.array(given[0]).ravel())
+        return [found.goal, found.excess]
+
+    def has_jacobian(self) -> bool:
+        return True
+
+    def get_jacobian(self, name: str, inames: Any, onames: Any, options: Any) -> Any:
+        jacobian = _Jacobian(self, name, options)
+        self._kept.append(jacobian)
+        return jacobian
+
+
+class _Jacobian(ca.Callback):  # type: ignore[misc]
+    """The Jacobian of the model; its inputs are those of the model and its outputs."""
+
+    def __init__(self, model: _Model, name: str, options: Any) -> None:
+        ca.Callback.__init__(self)
+        self.model = model
+        self.construct(name, options)
+
+    def get_n_in(self) -> int:
+        return 3
+
+    def get_n_out(self) -> int:
+        return 2
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return ca.Sparsity.dense((self.model.n, 1, self.model.m)[i], 1)
+
+    def get_sparsity_out(self, i: int) -> Any:
+        return ca.Sparsity.dense((1, self.model.m)[i], self.model.n)
+
+    def eval(self, given: Any) -> Any:
+        found = self.model.at(np.array(given[0]).ravel())
+        return [ca.DM(found.goal_gradient).T, ca.DM(found.excess_gradient)]
+
+
+class _Watch(ca.Callback):  # type: ignore[misc]
+    """Notes each iteration, and ends the solver when it is told to."""
+
+    def __init__(self, n: int, m: int, note: Callable[[Array, float, Array], bool]) -> None:
+        ca.Callback.__init__(self)
+        self.n, self.m, self.note = n, m, note
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return ca.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> Any:
+        rows = {"x": self.n, "lam_x": self.n, "f": 1, "g": self.m, "lam_g": self.m}.get(ca.nlpsol_out(i), 0)
+        return ca.Sparsity.dense(rows, 1 if rows else 0)
+
+    def eval(self, given: Any) -> Any:
+        places = {ca.nlpsol_out(i): np.array(x).ravel() for i, x in enumerate(given)}
+        return [int(self.note(places["x"], float(places["f"][0]), places["g"]))]
+
+
+def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved:
+    """Minimise from a start until IPOPT is content, or so many iterations or evaluations of the cycle are done.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If it was interrupted; the record of the bench has the best iterate then.
+
+    """
+    free = np.flatnonzero(bench.span > 0)
+    n, m, most = len(free), len(bench.problem.limits), bench.effort.cycles + cycles
+    # Where rules make maps from numbers, each set of maps is another code: so these stay as they are at the start.
+    base = smooth(bench.vehicle(start))
+    known: dict[bytes, Slopes] = {}
+    iterates: list[Iterate] = []
+    interrupted: list[BaseException] = []
+
+    def whole(x: Array) -> Array:
+        u = start.copy()
+        u[free] = np.clip(x, 0.0, 1.0)
+        return u
+
+    def at(x: Array) -> Slopes:
+        key = x.tobytes()
+        if key not in known:
+            if interrupted or bench.effort.cycles >= most:
+                return Slopes(np.nan, np.full(m, np.nan), np.full(n, np.nan), np.full((m, n), np.nan))
+            try:
+                s = bench.slopes(whole(x), base)
+            # An interrupt, which CasADi would swallow, and what it cannot be told.
+            except BaseException as error:
+                interrupted.append(error)
+                return at(x)
+            finite = np.where(np.isfinite(s.excess), s.excess, np.nan)
+            known[key] = Slopes(s.goal / scale, finite, s.goal_gradient[free] / scale, s.excess_gradient[:, free])
+        return known[key]
+
+    def note(x: Array, goal: float, excess: Array) -> bool:
+        iterates.append(Iterate(len(iterates), goal * scale, float(np.max(excess, initial=0.0)), whole(x)))
+        return bool(interrupted) or bench.effort.cycles >= most
+
+    scale = 1.0
+    scale = abs(at(start[free]).goal) or 1.0
+    known.clear() if not np.isfinite(scale) else known.update(
+        {k: Slopes(s.goal / scale, s.excess, s.goal_gradient / scale, s.excess_gradient) for k, s in known.items()}
+    )
+    if interrupted:
+        raise interrupted[0]
+    model, watch, x = _Model(n, m, at), _Watch(n, m, note), ca.MX.sym("x", n)
+    f, g = model(x)
+    options = {
+        "ipopt": {
+            "hessian_approximation": "limited-memory", "tol": TOLERANCE, "acceptable_tol": ACCEPTABLE, "acceptable_iter": 3,
+            "max_iter": iterations, "print_level": 0, "sb": "yes", "mu_init": 1e-3, "bound_relax_factor": 0.0,
+            "honor_original_bounds": "yes", "bound_push": 1e-3, "bound_frac": 1e-3,
+        },
+        "print_time": False, "iteration_callback": watch, "error_on_fail": False, "show_eval_warnings": False,
+    }  # fmt: skip
+    solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": g}, options)
+    found = solver(x0=start[free], lbx=0.0, ubx=1.0, lbg=-np.inf, ubg=0.0)
+    if interrupted:
+        for best in sorted(iterates, key=lambda i: (max(i.worst, ACCEPTABLE), i.goal))[:1]:
+            bench.at(bench.rounded(best.u))
+        raise interrupted[0]
+    u, excess = whole(np.array(found["x"]).ravel()), np.array(found["g"]).ravel()
+    status = str(solver.stats()["return_status"])
+    return Solved(
+        u, float(found["f"]) * scale, float(np.max(excess, initial=0.0)), np.array(found["lam_g"]).ravel() * scale, status, tuple(iterates)
+    )
