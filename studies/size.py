@@ -32,12 +32,13 @@ from halfshaft.studies.sizing.ipopt import Solved
 from halfshaft.studies.sizing.multipliers import Multipliers, multipliers_of
 from halfshaft.studies.sizing.problem import Bound, Limit, Problem, Variable
 from halfshaft.studies.sizing.problem_file import read_problem
-from halfshaft.studies.sizing.solver import minimise
+from halfshaft.studies.sizing.solver import minimise, starts_from_scan
 
 if TYPE_CHECKING:
     from halfshaft.cosim.plot import Picture
 
 Method: TypeAlias = Literal["ipopt", "evolution"]
+Note: TypeAlias = Callable[[Solved], None]
 METHODS: tuple[Method, ...] = get_args(Method)
 #: Every limit holds; no vehicle within the bounds meets all; the best so far, which holds or not.
 Status: TypeAlias = Literal["holds", "infeasible", "interrupted"]
@@ -190,6 +191,7 @@ def size(
     starts: int = STARTS,
     evaluations: int = EVALUATIONS,
     seed: int = 0,
+    moved: Mapping[int, float] | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Optimum:
     """Find the vehicle with the least of what a problem names, within its limits.
@@ -208,6 +210,8 @@ def size(
         How many vehicles differential evolution may try.
     seed
         The same one draws the same points.
+    moved
+        Other targets of limits [SI, or the figure's unit], by their place.
     progress
         Is told what is being done.
 
@@ -229,22 +233,39 @@ def size(
         problem = read_problem(problem)
     found: list[Optimum] = []
     each = problem.combinations()
-    bounds = [problem.bound(parts) for parts in each]
-    for parts, bound in zip(each, bounds, strict=True):
+    for parts, bound in zip(each, [problem.bound(parts) for parts in each], strict=True):
         progress(", ".join([problem.name, *parts.values()]))
-        found.append(_sized(bound, method, starts, evaluations, seed, progress))
+
+        def look(bench: Bench, note: Note) -> None:
+            if method == "evolution":
+                evolve(bench, evaluations=evaluations, seed=seed)
+            else:
+                minimise(bench, starts_from_scan(bench, starts=starts, seed=seed), note)
+
+        for place, target in (moved or {}).items():
+            bound = bound.moved(place, target)
+        found.append(_sized(bound, method, look))
         if found[-1].status == "interrupted":
             break
     best = min(found, key=lambda o: (not o.holds, o.goal if o.holds else _missed(o)))
     if len(found) == 1:
         return best
-    others = [
-        f"{', '.join(o.bound.parts.values())}: {o.goal:.5g}" if o.holds else f"{', '.join(o.bound.parts.values())}: {o.status}"
-        for o in found
-    ]
-    status: Status = "interrupted" if found[-1].status == "interrupted" else best.status
+    others = [f"{', '.join(o.bound.parts.values())}: {f'{o.goal:.5g}' if o.holds else o.status}" for o in found]
     total = Effort(*(sum(x) for x in zip(*((o.effort.cycles, o.effort.slopes, o.effort.limits) for o in found), strict=True)))
+    status = found[-1].status if found[-1].status == "interrupted" else best.status
     return replace(best, status=status, effort=total, notes=(*best.notes, f"the goal by parts: {'; '.join(others)}"))
+
+
+def resized(optimum: Optimum, limit: int, target: float, *, whole: bool = False) -> Optimum:
+    """Return the best vehicle with another target of a limit [SI, or the figure's unit], from the one that was found.
+
+    With `whole` the whole numbers stay as they are.
+    """
+    bound = optimum.bound.moved(limit, target)
+    if whole:
+        bound = bound.held({v.variable.name: v.after for v in optimum.variables if v.variable.whole})
+    values = np.array([v.after for v in optimum.variables])
+    return _sized(bound, "ipopt", lambda bench, note: minimise(bench, [bench.scaled(values)], note))
 
 
 def _missed(optimum: Optimum) -> float:
@@ -252,21 +273,17 @@ def _missed(optimum: Optimum) -> float:
                for f in optimum.limits)  # fmt: skip
 
 
-def _sized(bound: Bound, method: Method, starts: int, evaluations: int, seed: int, progress: Callable[[str], None]) -> Optimum:
-    """Return the best vehicle with some parts."""
+def _sized(bound: Bound, method: Method, look: Callable[[Bench, Note], None]) -> Optimum:
+    """Return the best vehicle that is found by looking."""
     bench, runs, interrupted = Bench(bound, stage="start"), list[Solved](), False
     try:
-        before = bench.at(bench.start)
-        if method == "evolution":
-            evolve(bench, evaluations=evaluations, seed=seed)
-        else:
-            minimise(bench, starts=starts, seed=seed, note=runs.append)
+        bench.at(bench.start)
+        look(bench, runs.append)
     except KeyboardInterrupt:
         if not bench.tried:
             raise
         interrupted = True
-        before = bench.tried[0]
-    return _answer(bench, method, runs, before, interrupted=interrupted)
+    return _answer(bench, method, runs, bench.tried[0], interrupted=interrupted)
 
 
 def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, interrupted: bool) -> Optimum:

@@ -17,7 +17,7 @@ import numpy as np
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import acceleration_cycle
 from halfshaft.cosim.simulate import stepper_of
-from halfshaft.library.base.errors import HalfshaftError
+from halfshaft.library.base.errors import HalfshaftError, InputError
 from halfshaft.library.base.tags import part_of
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.acceleration import (
@@ -75,14 +75,21 @@ class Probe:
 
     def many(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array]:
         """Return figures of many vehicles, whose numbers are the columns'; NaN where one cannot be built."""
-        runs = len(next(iter(columns.values())))
-        found = {figure: np.full(runs, np.nan) for figure in wanted}
-        for i in range(runs):
+        with suppress(InputError):
+            # A batch stands or falls as a whole: where a vehicle cannot be built, each is asked by itself.
+            if not touched(vehicle, columns) and (found := self.batch(vehicle, columns, wanted)):
+                return found
+        found = {figure: np.full(_runs(columns), np.nan) for figure in wanted}
+        for i in range(_runs(columns)):
             with suppress(HalfshaftError):
                 figures = self.at(vehicle.with_values({name: float(x[i]) for name, x in columns.items()}))
                 for figure in wanted:
-                    found[figure][i] = figures[figure]
+                    found[figure][i] = figures.get(figure, np.nan)
         return found
+
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
+        return None
 
     def slopes(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> tuple[Figures, Gradients]:
         """Return figures, and their gradients over numbers of the vehicle."""
@@ -124,11 +131,11 @@ class DriveProbe(Probe):
 
     task: Drive
 
-    def many(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array]:
-        """Return figures of many vehicles."""
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
         found = run_batch(vehicle, columns, self.task.cycle, mode=self.task.mode, dt=self.task.dt)
         if not all(figure in found for figure in wanted):
-            return super().many(vehicle, columns, wanted)
+            return None
         return {figure: found[figure].values for figure in wanted}
 
 
@@ -144,11 +151,11 @@ class LinearProbe(Probe):
         low, high = (ends[0] - OUTSIDE, ends[1] + OUTSIDE) if ends else (first_charge(vehicle) + x for x in (-AROUND, AROUND))
         return max(low, 0.0), min(high, 1.0)
 
-    def many(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array]:
-        """Return figures of many vehicles."""
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
         starts = vehicle.tags.all_of("start charge")
-        if set(wanted) != {"fuel_economy_L_per_100km"} or touched(vehicle, columns) or set(starts) & columns.keys():
-            return super().many(vehicle, columns, wanted)
+        if set(wanted) != {"fuel_economy_L_per_100km"} or set(starts) & columns.keys():
+            return None
         fuel, change = [], []
         for soc in self.ends(vehicle):
             d = run_batch(vehicle, {**columns, **dict.fromkeys(starts, soc)}, self.task.cycle, mode=self.task.mode, dt=self.task.dt)
@@ -167,11 +174,11 @@ class FullEffortProbe(Probe):
 
     task: AccelerationTest
 
-    def many(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array]:
-        """Return figures of many vehicles."""
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
         test, pairs = self.task, self.pairs(wanted)
-        if pairs is None or touched(vehicle, columns):
-            return super().many(vehicle, columns, wanted)
+        if pairs is None:
+            return None
         highest, unit = max(high for _, high in pairs) * IN_MPS[test.unit], IN_MPS[test.unit]
         found = {figure: np.full(_runs(columns), np.nan) for figure in wanted}
         for i, time, v in _driven(test, vehicle, columns, highest, STEADY):
@@ -193,10 +200,10 @@ class TopSpeedProbe(Probe):
 
     task: TopSpeedTest
 
-    def many(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array]:
-        """Return figures of many vehicles."""
-        if set(wanted) != {"top_speed_mps"} or self.task.resting or touched(vehicle, columns):
-            return super().many(vehicle, columns, wanted)
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
+        if set(wanted) != {"top_speed_mps"} or self.task.resting:
+            return None
         found = np.full(_runs(columns), np.nan)
         for i, _, v in _driven(self.task, vehicle, columns, np.inf, STEADIEST):
             found[i] = v.max()

@@ -74,18 +74,19 @@ def least_violation(bench: Bench, found: Scan) -> Tried:
     return descend(bench, bench.at(u))
 
 
-def minimise(bench: Bench, *, starts: int, seed: int, note: Callable[[Solved], None]) -> None:
-    """Try vehicles until the best is found; what came of it is in the record of the bench, and each run of IPOPT is noted."""
+def starts_from_scan(bench: Bench, *, starts: int, seed: int) -> list[Array]:
+    """Return where to start; nowhere if no vehicle within the bounds meets the limits."""
     bench.stage = "scan"
     looked = scan(bench, seed)
-    if (looked.violation > ROUNDING).all():
-        bench.stage = "limits"
-        nearest = least_violation(bench, looked)
-        if nearest.worst > ROUNDING:
-            return
-        points = [bench.scaled(nearest.x)]
-    else:
-        points = starts_of(bench, looked, starts)
+    if (looked.violation <= ROUNDING).any():
+        return starts_of(bench, looked, starts)
+    bench.stage = "limits"
+    nearest = least_violation(bench, looked)
+    return [bench.scaled(nearest.x)] if nearest.worst <= ROUNDING else []
+
+
+def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) -> None:
+    """Try vehicles until the best is found; what came of it is in the record of the bench, and each run of IPOPT is noted."""
     ends: list[Solved] = []
     for point in points:
         bench.stage = "ipopt"
@@ -95,7 +96,7 @@ def minimise(bench: Bench, *, starts: int, seed: int, note: Callable[[Solved], N
         # Where it ended, as it would be built: an interrupt finds something.
         bench.at(bench.rounded(solved.u))
     good = [s for s in ends if s.worst < MENDED and np.isfinite(s.goal)] or ends
-    least = min(s.goal for s in good)
+    least = min((s.goal for s in good), default=0.0)
     done: list[Array] = []
     for solved in sorted(good, key=lambda s: s.goal):
         if solved.goal > least + WORSE * abs(least) or any(np.linalg.norm(solved.u - u) < APART for u in done):
