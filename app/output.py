@@ -231,7 +231,8 @@ def print_run_json(result: Result) -> None:
         "speed_limit_J": a.speed_limit,
         "residual_J": a.residual,
     }
-    print_json({**result.summary, "account": account, "audit": _failures(result)})
+    gradient = {"gradient": result.gradient} if result.gradient else {}
+    print_json({**result.summary, "account": account, "audit": _failures(result), **gradient})
 
 
 def print_run(result: Result, units: Units = "metric") -> None:
@@ -251,8 +252,28 @@ def print_run(result: Result, units: Units = "metric") -> None:
         grid.add_row(f"[dim]{name}[/]", value, f"[dim]{other}[/]", also)
     out.print(Padding(grid, (1, 0, 0, 2), expand=False), highlight=False)
     out.print(_account_table(result))
+    if result.gradient:
+        out.print(_gradient_table(result))
     for text in (*remarks(result, units), *_failures(result)):
         print_line(f"  ! {text}", "yellow")
+
+
+#: Figures whose derivatives are shown, those that there are; JSON has all.
+_DERIVED = ("fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km", "energy_Wh_per_km", "range_m", "soc_end", "trace_miss_max_mps")
+
+
+def _gradient_table(result: Result) -> Table:
+    """Return by how much figures change with 1 % more of a number."""
+    figures = [name for name in _DERIVED if name in result.gradient]
+    table = new_table()
+    table.add_column("1 % more of")
+    for name in figures:
+        table.add_column(f"{name} [{result.figures[name]:.5g}]", justify="right", overflow="fold")
+    for number in next(iter(result.gradient.values())):
+        value = result.inputs.parameters.get(number)
+        changes = [result.gradient[name][number] if value is None else 0.01 * value * result.gradient[name][number] for name in figures]
+        table.add_row(number if value is not None else f"{number} (1 in SI)", *(f"{x:+.3g}" for x in changes))
+    return table
 
 
 def _failures(result: Result) -> list[str]:

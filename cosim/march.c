@@ -120,11 +120,13 @@ typedef struct {
   search search;
   /* Searches without success. */
   long unsolved;
+  /* The state from which was searched: with what the controls had decided. */
+  double decided[HS_NX];
 } trial;
 
 /* Return a trial at the start of a march. */
 static trial first_trial(const double *p, const double *q, double *u) {
-  trial t = {0, p, q, u, 0, 0, 0, 0, {.sign = 1, .slope = 1}, 0};
+  trial t = {0, p, q, u, 0, 0, 0, 0, {.sign = 1, .slope = 1}, 0, {0}};
   return t;
 }
 
@@ -136,15 +138,21 @@ static double shortfall(trial *t, int sign, double v) {
   return v - sign * t->xn[HS_X_V];
 }
 
-static double grade_at(double s, long n, const double *distance, const double *grade) {
+/* The interval of rising numbers in which `s` lies. */
+static long interval_of(double s, long n, const double *distance) {
   long low = 0, high = n - 1;
-  if (s <= distance[0]) return grade[0];
-  if (s >= distance[high]) return grade[high];
   while (high - low > 1) {
     long middle = (low + high) / 2;
     if (distance[middle] <= s) low = middle; else high = middle;
   }
-  return grade[low] + (grade[high] - grade[low]) * (s - distance[low]) / (distance[high] - distance[low]);
+  return low;
+}
+
+static double grade_at(double s, long n, const double *distance, const double *grade) {
+  if (s <= distance[0]) return grade[0];
+  if (s >= distance[n - 1]) return grade[n - 1];
+  const long i = interval_of(s, n, distance);
+  return grade[i] + (grade[i + 1] - grade[i]) * (s - distance[i]) / (distance[i + 1] - distance[i]);
 }
 
 /* So many rows of outputs are totalled at once, while they are near. */
@@ -169,7 +177,6 @@ static void total(long n, const double *restrict rows, const double *restrict dt
 /* Step from the state `now` to `next`, with the request in `t->u`; `y` gets the outputs. */
 static void advance(trial *t, double *now, double *next, double *y, int mode) {
   const double v = t->u[0];
-  double decided[HS_NX];
   t->failed |= hs_lost(t->u, HS_NU);
   /* A speed that was solved for was reached: the step after it has nothing to estimate. */
   if (mode != HYBRID) now[HS_X_MISSED] = 0;
@@ -177,6 +184,7 @@ static void advance(trial *t, double *now, double *next, double *y, int mode) {
   const double s = shortfall(t, 1, v);
   if (mode != HYBRID && fabs(s) > HS_REACHED) {
     /* The controls have decided by what was asked for; the search keeps gear and clutch. */
+    double *decided = t->decided;
     for (int i = 0; i < HS_NX; ++i) decided[i] = now[i];
     for (const int *d = hs_decisions; *d >= 0; ++d) decided[*d] = next[*d];
     t->x = decided;

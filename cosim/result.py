@@ -82,6 +82,8 @@ class Result:
         What the run was made of; None for files of version 0.1.
     notes
         What is doubtful about vehicle, cycle and run and does not show in the outputs.
+    gradient
+        Derivatives of the main figures by numbers of the vehicle, by the names of both [SI of the figure over SI of the number].
 
     """
 
@@ -95,6 +97,7 @@ class Result:
     last: Mapping[str, float]
     made: Made | Origin | None = field(default=None, repr=False, compare=False)
     notes: tuple[str, ...] = ()
+    gradient: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False)
 
     def __getitem__(self, name: str) -> Array:
         """Return one time series, shape ``(n,)``.
@@ -289,7 +292,7 @@ class Result:
             "inputs": {**self.inputs.__dict__, "parameters": dict(self.inputs.parameters), "hashes": dict(self.inputs.hashes)},
             "outputs": [list(d) for d in self.outputs],
             "energies": dict(self.energies), "highest": dict(self.highest), "first": dict(self.first), "last": dict(self.last),
-            "notes": list(self.notes),
+            "notes": list(self.notes), "gradient": {name: dict(of) for name, of in self.gradient.items()},
         }  # fmt: skip
 
     def save(self, path: str | Path) -> Path:
@@ -334,7 +337,8 @@ class Result:
                 origin = Origin.of_plain(plain["origin"]) if plain.get("origin") else None
                 inputs = Inputs(**plain["inputs"])
                 energies, highest, first, last = (plain[x] for x in ("energies", "highest", "first", "last"))
-                result = cls(inputs, time, outputs, history, energies, highest, first, last, origin, tuple(plain.get("notes", ())))
+                notes, gradient = tuple(plain.get("notes", ())), plain.get("gradient", {})
+                result = cls(inputs, time, outputs, history, energies, highest, first, last, origin, notes, gradient)
                 # Nothing is missing from what the summary can be made of.
                 _ = result.summary
             # What HDF5 and a changed text raise has no common base.

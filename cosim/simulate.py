@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, get_args
@@ -81,7 +81,16 @@ def parameters_of(vehicle: Vehicle, step: Step, v_start: float = 0.0) -> Array:
     return np.array([values[d.name] for d in step.parameters])
 
 
-def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, mode: Mode = "hybrid", history: bool = True) -> Result:
+def run(
+    vehicle: Vehicle,
+    cycle: Cycle,
+    *,
+    via: Via = "step",
+    dt: float = 1.0,
+    mode: Mode = "hybrid",
+    history: bool = True,
+    gradient: Sequence[str] = (),
+) -> Result:
     """Run a vehicle over a cycle.
 
     Parameters
@@ -97,6 +106,8 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         the paper's benchmark.
     history
         Whether to keep all outputs of all steps, or only the summary.
+    gradient
+        Numbers of the vehicle, by ``role.parameter``, by which the main figures are derived; see `halfshaft.cosim.gradient`.
 
     Raises
     ------
@@ -107,7 +118,7 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
         If an output is not finite in some step.
 
     """
-    dt = _checked(vehicle, cycle, via, dt, mode)
+    dt = _checked(vehicle, cycle, via, dt, mode, gradient)
     made = Made(vehicle, cycle, time.time())
     what = (vehicle.name, vehicle.powertrain, cycle.name)
     inputs = Inputs(*what, via, mode, dt, __version__, dict(vehicle.values), hashes=Hashes(made), tags=vehicle.tags)
@@ -136,7 +147,12 @@ def run(vehicle: Vehicle, cycle: Cycle, *, via: Via = "step", dt: float = 1.0, m
     notes = (*made.notes, *_beyond_maps(vehicle, compiled.step.tags, first, highest, last))
     if march.unsolved:
         notes += (f"{march.unsolved} steps reach no speed at all: they are those of the hybrid mode",)
-    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, made, notes)
+    slopes = {}
+    if gradient:
+        from halfshaft.cosim.gradient import figure_gradient  # which runs vehicles too
+
+        slopes = figure_gradient(vehicle, cycle, gradient, mode=mode, dt=dt)
+    return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, made, notes, slopes)
 
 
 def _beyond_maps(
@@ -161,7 +177,7 @@ def _temperatures(p: Parameters) -> tuple[Array, ...]:
     return tuple(t.points[i] for t, i in maps if np.any(np.diff(t.values, axis=i)))
 
 
-def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> float:
+def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str, gradient: Sequence[str]) -> float:
     """Return the length of the step as a number, or raise an error with all that is wrong with the arguments of a run."""
     problems = not_a(Vehicle, vehicle=vehicle) + not_a(Cycle, cycle=cycle)
     for name, value, known in (("via", via, get_args(Via)), ("mode", mode, MODES)):
@@ -172,6 +188,8 @@ def _checked(vehicle: Vehicle, cycle: Cycle, via: str, dt: float, mode: str) -> 
         problems.append(f"dt = {dt} s, must be a number > 0 s")
     if not problems and mode != "hybrid" and via != "step":
         problems.append(f"mode {mode} runs via step only, not via {via}")
+    if gradient and via != "step":
+        problems.append(f"a gradient is found via step only, not via {via}")
     if problems:
         raise InputError("run", problems)
     return seconds

@@ -19,7 +19,7 @@ where that side is taken.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import casadi as ca
 
@@ -75,8 +75,7 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
     p = ca.SX.sym("p", len(step.parameters))
     starter.inputs(p=p)
     first = starter.values(step.start.call([p])[0])
-    unpack = [f"  const {_TYPES[graph.kind(name)]} {name} = q[{i}];" for i, name in enumerate(kept)]
-    lines = [*unpack, *_guarded(stepped, graph, [*following, *outputs])]
+    lines = [*unpacked(graph, kept), *guarded(stepped, graph, [*following, *outputs])]
     n_rows = sum(len(graph.tables[name].values) for name in graph.rows)
     parts = [
         _PRELUDE,
@@ -84,12 +83,12 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
         *(values_source(name, t) for name, t in graph.tables.items() if name not in graph.rows),
         f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters) + n_rows}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
-        "static void hs_start(const double *p, double *x) {", *_lines(starter, first), *_stores("x", first), "}\n",
-        "static int hs_prepare(const double *p, double *q) {", *(line(op, graph) for op in prepared), *_stores("q", kept),
+        "static void hs_start(const double *p, double *x) {", *_lines(starter, first), *stores("x", first), "}\n",
+        "static int hs_prepare(const double *p, double *q) {", *(line(op, graph) for op in prepared), *stores("q", kept),
         "  return hs_lost(p, HS_NP);\n}\n",
         "static void hs_step_prepared(const double *restrict x, const double *restrict u, const double *restrict p,",
         "                             const double *restrict q, double *restrict xn, double *restrict y) {",
-        *_stored_at_once(lines, [*_stores("xn", following), *_stores("y", outputs)]),
+        *stores_at_once(lines, [*stores("xn", following), *stores("y", outputs)]),
         "}\n",
         "static int hs_step(const double *x, const double *u, const double *p, double *xn, double *y) {",
         "  double q[HS_NQ];",
@@ -107,7 +106,7 @@ def relations_code(step: Step) -> str:
     graph.inputs(p=p)
     names = graph.values(step.broken.call([p])[0])
     head = "static void hs_relate(const double *p, int *broken) {\n  (void)p, (void)broken;"
-    return "\n".join([head, *_lines(graph, names), *_stores("broken", names), "}\n"])
+    return "\n".join([head, *_lines(graph, names), *stores("broken", names), "}\n"])
 
 
 def _lines(graph: Graph, names: Sequence[str]) -> list[str]:
@@ -115,8 +114,16 @@ def _lines(graph: Graph, names: Sequence[str]) -> list[str]:
     return [line(op, graph) for op in graph.used(graph.prepared, names)]
 
 
-def _guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str]) -> list[str]:
-    """Return the lines with each table that counts on one side of a choice only, and what it alone needs, in an ``if``."""
+def unpacked(graph: Graph, kept: Sequence[str]) -> list[str]:
+    """Return the lines that read what is prepared."""
+    return [f"  const {_TYPES[graph.kind(name)]} {name} = q[{i}];" for i, name in enumerate(kept)]
+
+
+def guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str], beside: Callable[[Op], Iterable[str]] = lambda _: ()) -> list[str]:
+    """Return the lines with each table that counts on one side of a choice only, and what it alone needs, in an ``if``.
+
+    Behind the line of an operation stand those that `beside` gives for it; each defines a constant.
+    """
     guards: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
     for op in reversed(ops):
         here = guards[op.name]
@@ -145,11 +152,12 @@ def _guarded(ops: Sequence[Op], graph: Graph, names: Sequence[str]) -> list[str]
         shared = len(_common(now, guard))
         written += ["  }"] * (len(now) - shared) + [f"  if ({g}) {{" for g in guard[shared:]]
         now = guard
-        text = line(op, graph)
-        if guard:
-            declared.append(f"  {_TYPES[op.kind]} {name};")
-            text = f"  {text.removeprefix(f'  const {_TYPES[op.kind]} ')}"
-        written.append(text)
+        for text in (line(op, graph), *beside(op)):
+            if guard:
+                kind, _, rest = text.removeprefix("  const ").partition(" ")
+                declared.append(f"  {kind} {rest.partition(' = ')[0]};")
+                text = f"    {rest}"
+            written.append(text)
     return [*declared, *written, *["  }"] * len(now)]
 
 
@@ -168,11 +176,12 @@ def line(op: Op, graph: Graph) -> str:
     return f"  const {_TYPES[op.kind]} {op.name} = {c};"
 
 
-def _stores(vector: str, names: Sequence[str]) -> list[str]:
+def stores(vector: str, names: Sequence[str]) -> list[str]:
+    """Return the lines that store values."""
     return [f"  {vector}[{i}] = {name};" for i, name in enumerate(names)]
 
 
-def _stored_at_once(lines: Sequence[str], stores: Sequence[str]) -> list[str]:
+def stores_at_once(lines: Sequence[str], stores: Sequence[str]) -> list[str]:
     """Return the lines with each store right behind what it stores, so that few values wait in registers."""
     waiting: dict[str, list[str]] = {}
     for store in stores:

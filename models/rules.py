@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias, cast
 
@@ -37,6 +37,11 @@ class Rule(Parameters):
         """Return the value; `sets` are the parameters by the rule's own names for the parts."""
         raise NotImplementedError
 
+    @property
+    def unrounded(self) -> Rule:
+        """The rule without the rounding that it may do: what has derivatives."""
+        return self
+
 
 @dataclass(frozen=True, kw_only=True)
 class TopSpeed(Rule):
@@ -67,6 +72,11 @@ class SumOfParts(Rule):
         """Return the mass [kg]."""
         m = self.rest + sum(p.weight for p in sets.values())
         return plain(np.rint(m / self.whole) * self.whole) if self.whole else m
+
+    @property
+    def unrounded(self) -> Rule:
+        """The plain sum."""
+        return replace(self, whole=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

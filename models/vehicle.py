@@ -29,6 +29,7 @@ from halfshaft.library.base.parameters import (
     outside,
     spec_of,
 )
+from halfshaft.library.base.tables import Table
 from halfshaft.library.base.tags import Tags
 from halfshaft.library.control.shift import ShiftParameters
 from halfshaft.library.driveline.gearbox import MapGearboxParameters
@@ -38,7 +39,7 @@ from halfshaft.library.files.notebook import Grid, card
 from halfshaft.library.files.texts import cleaned, name_problem, read_text
 from halfshaft.library.files.toml import inline, quantity, toml_text, written
 from halfshaft.models.model import Model
-from halfshaft.models.powertrain import Powertrain, powertrains, vehicle_files
+from halfshaft.models.powertrain import Derived, Powertrain, powertrains, vehicle_files
 from halfshaft.models.rules import Rule, Sets
 
 Parts: TypeAlias = Mapping[str, ComponentFile]
@@ -133,6 +134,15 @@ class Vehicle:
         return dict(_known(tuple(self.parts.items())).rated)
 
     @cached_property
+    def derived(self) -> frozenset[str]:
+        """Names of the numbers that follow from others, by rules."""
+        targets = {d.target for d in powertrains()[self.powertrain].derived if d.target in self.rules or self._open(d)}
+        return frozenset(n for n in self.values if n not in self.given and targets & {n, n.rpartition("_")[0]})
+
+    def _open(self, derived: Derived) -> bool:
+        return derived.role in self.parts and derived.parameter not in self.parts[derived.role].values
+
+    @cached_property
     def notes(self) -> tuple[str, ...]:
         """What was made for other parts or numbers than this vehicle has; runs show it among their warnings."""
         return (*_maps_of_other_ratios(self), *_lines_of_another_engine(self))
@@ -179,6 +189,23 @@ class Vehicle:
         reader.problems = list(dict.fromkeys(reader.problems))
         reader.finish(f"vehicle '{self.name}'")
         return fleet
+
+    def displaced(self, values: Mapping[str, Any]) -> Vehicle:
+        """Return a vehicle that stands for many near to this one, to see how its numbers change with some of them.
+
+        As `with_arrays`, but that bounds are not looked at, the mass is not rounded, and maps that a rule makes stay as they are.
+        """
+        targets = [d.target for d in powertrains()[self.powertrain].derived if isinstance(self._at(d.target), Table)]
+        own = {role: {t.partition(".")[2]: self._at(t) for t in targets if t.startswith(f"{role}.")} for role in self.parts}
+        parts = {role: replace(part, values={**part.values, **own[role]}) if own[role] else part for role, part in self.parts.items()}
+        rules = {target: rule.unrounded for target, rule in self.rules.items() if target not in targets}
+        given = {**_without_rivals(self.parts, self.given, values), **values}
+        with np.errstate(all="ignore"):
+            return replace(self, parts=parts, rules=rules, given=given)
+
+    def _at(self, name: str) -> Any:
+        role, _, parameter = name.partition(".")
+        return getattr(self.parameters.get(role), parameter, None)
 
     def with_parts(self, parts: Mapping[str, str | Path | ComponentFile]) -> Vehicle:
         """Return the vehicle with parts replaced, by names in the library, paths of files, or components that were read before."""
@@ -270,7 +297,7 @@ def _built(part: ComponentFile, values: tuple[tuple[str, Any], ...], typed: tupl
     return part.build(**dict(values)).rescaled(dict(typed))
 
 
-def _without_rivals(parts: Parts, given: Mapping[str, float], new: Mapping[str, float]) -> dict[str, float]:
+def _without_rivals(parts: Parts, given: Mapping[str, float], new: Collection[str]) -> dict[str, float]:
     """Return what was given but for ratings and factors that new ones stand for."""
     rated = _known(tuple(parts.items())).rated
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from halfshaft import __version__
 from halfshaft.cosim.compiled import MODES, Mode, address, march_code, read_by_c
 from halfshaft.cosim.cycle import TIME_STEP, Cycle
+from halfshaft.cosim.figures import end_states, figures, needs, unit_of
 from halfshaft.cosim.memory import available
 from halfshaft.cosim.simulate import Build, stepper_of
 from halfshaft.fmu_build.compiler import shared_library
@@ -29,7 +30,6 @@ from halfshaft.library.base.parameters import spec_of
 from halfshaft.models.assembly import Step
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.crew import cores
-from halfshaft.studies.figures import end_states, figures, needs, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr

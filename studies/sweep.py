@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from halfshaft.cosim.figures import title_of, unit_of
 from halfshaft.library.base.errors import HalfshaftError, InputError, nearest, not_a
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.crew import Crew, cluster, cores, processes
 from halfshaft.studies.design import Design, Given, Sample, Value, design_of
-from halfshaft.studies.figures import title_of, unit_of
 from halfshaft.studies.folder import Kept, kept
 from halfshaft.studies.identity import manifest
 from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point, Row

@@ -20,16 +20,20 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from halfshaft.cosim.compiled import InterpretedStep, Mode
-from halfshaft.cosim.cycle import Cycle, acceleration_cycle
+from halfshaft.cosim.cycle import Cycle, Samples, acceleration_cycle
+from halfshaft.cosim.gradient import rates, slopes
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import parameters_of, run, stepper_of
+from halfshaft.fmu_build.code import compiled_tables
 from halfshaft.fmu_build.compiler import find_compiler
 from halfshaft.fmu_build.lanes import widths
 from halfshaft.library.base.errors import CompileError, SolveError
 from halfshaft.library.base.tags import part_of
+from halfshaft.models.assembly import assemble
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.acceleration import DT, prepared
 from halfshaft.studies.batch import run_batch
@@ -59,6 +63,8 @@ BATCHES = {"small-car-electric": (25, 30), "small-car-conventional": (28, 20), "
 CARS = 10_000
 #: Vehicles whose first build is timed.
 BUILT = ("small-car-electric", "small-car-conventional")
+#: Vehicles whose derivatives are timed.
+DERIVED = ("small-car-electric", "small-car-series")
 
 Row = dict[str, Any]
 
@@ -138,6 +144,7 @@ def bench(progress: Callable[[str], None] | None = None) -> dict[str, Any]:
             ("hand-written step", _twin),
             ("refined mode", _refined),
             ("one vehicle", _around),
+            ("gradients", _gradients),
             ("start-up", _start),
         ):
             say(title)
@@ -305,6 +312,42 @@ def _around() -> list[Row]:
             _row(f"{name}: dataset", 1e3 * dataset, "ms", "< 1", f"{len(compiled.step.outputs)} outputs over UDDS"),
         ]
     return rows
+
+
+def _gradients() -> list[Row]:
+    """Return what the derivatives of a run cost, by eight numbers and by all, beside those of CasADi's virtual machine."""
+    cycle, samples, rows = Cycle.load("udds"), Cycle.load("udds").sampled(1.0), []
+    for name in DERIVED:
+        car = Vehicle.load(name)
+        step = stepper_of(car).step
+        every = [n for n in car.values if n != step.tags.the("start speed")]
+        eight = sorted(every, key=lambda n: not n.endswith("_scale"))[:8]
+        wanted: list[tuple[str, str | float]] = [(d.name, "integral") for d in step.outputs if d.booking in ("fuel", "stored")]
+        once = measured(lambda car=car: run(car, cycle, history=False)).cpu  # type: ignore[misc]
+        ours = {len(names): measured(partial(slopes, car, cycle, names, wanted)).cpu for names in (eight, every)}
+        theirs = {len(names): _casadi_gradient(car, samples, names, wanted) for names in (eight, every)}
+        note = "UDDS; integrals of fuel and energy; CasADi: the same step unrolled, maps compiled"
+        for n, seconds in ours.items():
+            target = "<= 4" if n == 8 else ""
+            rows.append(_row(f"{name}: derivatives by {n} numbers", 1e3 * seconds, "ms", note=note))
+            rows.append(_row(f"{name}: derivatives by {n} numbers, over a run", seconds / once, "times", target, "run without history"))
+            way = "forward" if n == 8 else "adjoint"
+            rows.append(_row(f"{name}: derivatives by {n} numbers, faster than CasADi's {way} by", theirs[n] / seconds, "times"))
+    return rows
+
+
+def _casadi_gradient(car: Vehicle, samples: Samples, names: Sequence[str], wanted: Sequence[tuple[str, str | float]]) -> float:
+    """Return how long CasADi takes for derivatives of an unrolled cycle: forward for eight numbers, else adjoint, of one integral."""
+    step = assemble(car.model(), car.title, compiled_tables)
+    n, p = len(samples.t), parameters_of(car, step, samples.v_start)
+    requests = ca.DM(np.array([samples.v, samples.grade, samples.key_on, samples.dt, np.zeros(n)]))
+    free = ca.MX.sym("free", len(names))
+    moved = ca.DM(p) + ca.mtimes(ca.DM(rates(car, step, names)), free)
+    _, outputs = step.function.mapaccum(n)(step.start(moved), requests, ca.repmat(moved, 1, n))
+    total = ca.sum2(outputs[step.output_index[wanted[0][0]], :])
+    found = ca.jtimes(total, free, ca.DM.eye(8)) if len(names) == 8 else ca.gradient(total, free)
+    function = ca.Function("derivatives", [free], [found])
+    return measured(lambda: function(np.zeros(len(names))), 0.0, 3).cpu
 
 
 def _start() -> list[Row]:

@@ -25,6 +25,7 @@ from halfshaft.cosim.ways import Mode, Via
       halfshaft run small-car-power-split --cycle us06 --flows flows.png
       halfshaft run my-car.toml --cycle trip.csv --grade road.csv --out trip.nc
       halfshaft run my-car.toml --cycle us06 --set engine.J="0.2 kg m^2" --json
+      halfshaft run small-car-series --cycle udds --gradient body.c_d
     """,
 )
 def _run(
@@ -43,6 +44,9 @@ def _run(
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the run (.png, .svg, .pdf).")] = None,
     flows: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw where the energy flowed.")] = None,
     points: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the operating points of machines on their maps.")] = None,
+    gradient: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A number to derive the main figures by, body.c_d; repeatable.")
+    ] = None,
     units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
@@ -55,6 +59,12 @@ def _run(
     checks.step(dt, trace)
     if mode != "hybrid" and via != "step":
         checks.problem(f"mode {mode} runs via step only, not via {via}")
+    if gradient and via != "step":
+        checks.problem(f"a gradient is found via step only, not via {via}")
+    elif gradient and car is not None:
+        from halfshaft.cosim.gradient import unknown_numbers
+
+        checks.problem(*(f"--gradient: {problem}" for problem in unknown_numbers(car, gradient)))
     if via in ("fmu2", "fmu3") and trace is not None and checks.step_fits:
         from halfshaft.cosim.fmu import fmu_problems
 
@@ -65,7 +75,7 @@ def _run(
         checks.picture(picture, option)
     car, trace = checks.done(car), checks.done(trace)
     with busy(f"{VIA[via]}: {car.name} over {trace.name}"):
-        result = run(car, trace, via=via, dt=dt, mode=mode)
+        result = run(car, trace, via=via, dt=dt, mode=mode, gradient=gradient or ())
     if out is not None:
         with busy(f"writing {out}"):
             result.save(out)

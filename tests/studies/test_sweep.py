@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from halfshaft import Cycle, InputError, Vehicle, vehicle_names
+from halfshaft.cosim.figures import title_of, unit_of
 from halfshaft.studies import batch
 from halfshaft.studies.acceleration import AccelerationTest
 from halfshaft.studies.design import Axis, Sample, design_of, read_axes
-from halfshaft.studies.figures import title_of, unit_of
 from halfshaft.studies.sweep import sweep, table
 from halfshaft.studies.task import Drive, Found
 
