@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.library.base.errors import HalfshaftError
-from halfshaft.library.base.tables import Table
-from halfshaft.models.powertrain import powertrains
-from halfshaft.models.rules import SumOfParts
+from halfshaft.library.base.errors import HalfshaftError, InputError
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.sizing.probes import Probe, probe_of
 from halfshaft.studies.sizing.problem import OWN, Bound, Ref, Term
@@ -78,7 +75,7 @@ class Bench:
     tried
         All vehicles as they would be built, in order.
     looked
-        Those that drove no cycle.
+        Those that drove no cycle, or were not as they would be built.
 
     """
 
@@ -135,6 +132,15 @@ class Bench:
         rows = zip(self.problem.variables, self.values(u), strict=True)
         return {name: y for v, x in rows for name, y in v.values(float(x), exact=exact).items()}
 
+    @cached_property
+    def base(self) -> Vehicle:
+        """The vehicle on which goal and limits are smooth in sizes: its mass is not rounded, and maps that a rule makes stay."""
+        return self.vehicle(self.start).displaced({})
+
+    def rebase(self, u: Array) -> None:
+        """Let the maps of the smooth base be those of a point."""
+        self.base = self.vehicle(u).displaced({})
+
     def vehicle(self, u: Array) -> Vehicle:
         """Return the vehicle at a point as it would be built."""
         return self.problem.vehicle.with_values(self.numbers(u, exact=True))
@@ -147,7 +153,7 @@ class Bench:
             figures = {key: self.probes[key].at(car) for key in self._wanted(goal=goal)}
         return self._noted(u, figures, goal=goal)
 
-    def _noted(self, u: Array, figures: Mapping[str, Mapping[str, float]], *, goal: bool) -> Tried:
+    def _noted(self, u: Array, figures: Mapping[str, Mapping[str, float]], *, goal: bool, exact: bool = True) -> Tried:
         def value(term: Term) -> float:
             if not all(ref.figure in figures.get(ref.task, ()) for ref in term.refs):
                 return np.nan
@@ -161,30 +167,34 @@ class Bench:
             self.effort.cycles += 1
         else:
             self.effort.limits += 1
-        (self.tried if goal else self.looked).append(tried)
+        (self.tried if goal and exact else self.looked).append(tried)
         return tried
 
-    def many(self, points: Array, *, goal: bool = True, base: Vehicle | None = None) -> list[Tried]:
-        """Try many vehicles at once, as they would be built or on a base that is smooth."""
-        rows = [self.numbers(u, exact=base is None) for u in points]
+    def many(self, points: Array, *, goal: bool = True, exact: bool = True) -> list[Tried]:
+        """Try many vehicles at once, as they would be built or on the smooth base."""
+        rows = [self.numbers(u, exact=exact) for u in points]
         columns = {name: np.array([row[name] for row in rows]) for name in self.problem.names}
-        found = {
-            key: self.probes[key].many(base or self.problem.vehicle, columns, wanted) for key, wanted in self._wanted(goal=goal).items()
-        }
+        base = self.problem.vehicle if exact else self.base
+        found = {key: self.probes[key].many(base, columns, wanted) for key, wanted in self._wanted(goal=goal).items()}
         each = [{key: {name: float(x[i]) for name, x in of.items()} for key, of in found.items()} for i in range(len(points))]
-        return [self._noted(u, figures, goal=goal) for u, figures in zip(points, each, strict=True)]
+        return [self._noted(u, figures, goal=goal, exact=exact) for u, figures in zip(points, each, strict=True)]
 
-    def slopes(self, u: Array, base: Vehicle | None = None) -> Slopes:
-        """Return goal and excesses on a smooth base, with their gradients over the scaled variables."""
-        base = base or smooth(self.vehicle(u))
-        limits, terms = self.problem.limits, [self.problem.goal, *(limit.term for limit in self.problem.limits)]
-        car, names = base.with_values(self.numbers(u, exact=False)), self.problem.names
+    def slopes(self, u: Array) -> Slopes:
+        """Return goal and excesses on the smooth base, with their gradients over the scaled variables; NaN where nothing can be built."""
+        limits, names, terms = self.problem.limits, self.problem.names, [self.problem.goal, *(x.term for x in self.problem.limits)]
+        try:
+            car = self.base.with_values(self.numbers(u, exact=False))
+        except InputError:
+            n, m = len(u), len(limits)
+            return Slopes(np.nan, np.full(m, np.inf), np.full(n, np.nan), np.full((m, n), np.nan))
         # What a scaled variable does to each number.
         chain = np.array([[v.shares.get(name, 0.0) for v in self.problem.variables] for name in names]) * self.span
         found: dict[Ref, tuple[float, Array]] = {}
+        cost = 0
         for key, wanted in self._wanted(goal=True).items():
-            figures, gradients = self.probes[key].slopes(car, names, wanted)
-            found |= {Ref(key, figure): (figures[figure], gradients[figure] @ chain) for figure in wanted}
+            own = self.probes[key].slopes(car, names, wanted)
+            found |= {Ref(key, figure): (own.values[figure], own.gradients[figure] @ chain) for figure in wanted}
+            cost = max(cost, own.cost * self.probes[key].drives)
         values, rows = [], []
         for term in terms:
             value, own = term.expression(np.array([found[ref][0] for ref in term.refs]))
@@ -192,7 +202,7 @@ class Bench:
             rows.append(own[0] @ np.array([found[ref][1] for ref in term.refs]))
         scales = np.array([limit.sign / limit.scale for limit in limits])
         self.effort.slopes += 1
-        self.effort.cycles += max(probe.cost(names) for probe in self.probes.values() if probe.drives)
+        self.effort.cycles += cost
         return Slopes(values[0], self.excess(np.array(values[1:])), rows[0], np.array(rows[1:]).reshape(len(limits), -1) * scales[:, None])
 
     def excess(self, values: Array) -> Array:
@@ -221,17 +231,3 @@ class Bench:
             if goal or not self.probes[ref.task].drives:
                 wanted.setdefault(ref.task, []).append(ref.figure)
         return wanted
-
-
-def smooth(vehicle: Vehicle) -> Vehicle:
-    """Return a vehicle whose mass is not rounded, and whose maps stay when numbers change that a rule made them from: these go in steps."""
-    rules = dict(vehicle.rules)
-    mass = vehicle.tags.the("vehicle mass")
-    if isinstance(rule := rules.get(mass), SumOfParts):
-        rules[mass] = replace(rule, whole=0.0)
-    parts = dict(vehicle.parts)
-    for d in powertrains()[vehicle.powertrain].derived:
-        if d.role in parts and isinstance(table := getattr(vehicle.parameters[d.role], d.parameter, None), Table):
-            parts[d.role] = replace(parts[d.role], values={**parts[d.role].values, d.parameter: table})
-            rules.pop(d.target, None)
-    return replace(vehicle, rules=rules, parts=parts)

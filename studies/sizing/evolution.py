@@ -10,6 +10,8 @@ from halfshaft.studies.sizing.evaluator import Bench, Tried
 
 #: Vehicles of a generation, for each variable, and at least.
 POPULATION, LEAST = 12, 24
+#: Vehicles that are tried at once.
+PORTION = 12
 #: An excess counts no more than this.
 MOST_EXCESS = 10.0
 
@@ -27,8 +29,9 @@ def evolve(bench: Bench, *, evaluations: int, seed: int = 0) -> None:
     def tried(rows: Array) -> list[Tried]:
         points = [bench.scaled(row) for row in rows.T]
         new = {u.tobytes(): u for u in points if u.tobytes() not in seen}
-        if new:
-            seen.update(zip(new, bench.many(np.array(list(new.values()))), strict=True))
+        # In portions, so that an interrupt loses little.
+        for keys in (list(new)[k : k + PORTION] for k in range(0, len(new), PORTION)):
+            seen.update(zip(keys, bench.many(np.array([new[key] for key in keys])), strict=True))
         return [seen[u.tobytes()] for u in points]
 
     def goal(rows: Array) -> Array:

@@ -10,12 +10,14 @@ import casadi as ca
 import numpy as np
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.studies.sizing.evaluator import Bench, Slopes, smooth
+from halfshaft.studies.sizing.evaluator import Bench, Slopes
 
 #: Accuracy of the scaled conditions of an optimum, and with how much IPOPT is content after three such iterations.
 TOLERANCE, ACCEPTABLE = 1e-5, 3e-4
-#: What stands in place of an excess that is not finite: IPOPT then takes a shorter step.
-NOT_A_NUMBER = np.nan
+#: So many iterations that gain less than this, relative, end it; a vehicle counts that misses no limit by more.
+PATIENCE, GAIN, MET = 4, 1e-4, 1e-3
+#: How a run ended that was interrupted.
+INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True)
@@ -122,22 +124,23 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         return [int(self.note(places["x"], float(places["f"][0]), places["g"]))]
 
 
+def _settled(iterates: list[Iterate]) -> bool:
+    """Return whether the last iterations gained nothing that counts: at kinks IPOPT goes on for ever, and the exact step comes next."""
+    good = [i.goal for i in iterates if i.worst < MET]
+    if len(good) <= PATIENCE or len(iterates) <= 2 * PATIENCE:
+        return False
+    before = min(i.goal for i in iterates[:-PATIENCE] if i.worst < MET) if any(i.worst < MET for i in iterates[:-PATIENCE]) else np.inf
+    return before - min(good) < GAIN * abs(before)
+
+
 def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved:
-    """Minimise from a start until IPOPT is content, or so many iterations or evaluations of the cycle are done.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If it was interrupted; the record of the bench has the best iterate then.
-
-    """
+    """Minimise from a start until IPOPT is content, it is interrupted, or so many iterations or evaluations of the cycle are done."""
     free = np.flatnonzero(bench.span > 0)
     n, m, most = len(free), len(bench.problem.limits), bench.effort.cycles + cycles
-    # Where rules make maps from numbers, each set of maps is another code: so these stay as they are at the start.
-    base = smooth(bench.vehicle(start))
     known: dict[bytes, Slopes] = {}
     iterates: list[Iterate] = []
     interrupted: list[BaseException] = []
+    ends: list[str] = []
 
     def whole(x: Array) -> Array:
         u = start.copy()
@@ -150,28 +153,29 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
             if interrupted or bench.effort.cycles >= most:
                 return Slopes(np.nan, np.full(m, np.nan), np.full(n, np.nan), np.full((m, n), np.nan))
             try:
-                s = bench.slopes(whole(x), base)
+                s = bench.slopes(whole(x))
             # An interrupt, which CasADi would swallow, and what it cannot be told.
             except BaseException as error:
                 interrupted.append(error)
                 return at(x)
-            finite = np.where(np.isfinite(s.excess), s.excess, np.nan)
-            known[key] = Slopes(s.goal / scale, finite, s.goal_gradient[free] / scale, s.excess_gradient[:, free])
+            known[key] = Slopes(
+                s.goal, np.where(np.isfinite(s.excess), s.excess, np.nan), s.goal_gradient[free], s.excess_gradient[:, free]
+            )
         return known[key]
 
     def note(x: Array, goal: float, excess: Array) -> bool:
         iterates.append(Iterate(len(iterates), goal * scale, float(np.max(excess, initial=0.0)), whole(x)))
-        return bool(interrupted) or bench.effort.cycles >= most
+        stopped = INTERRUPTED if interrupted else "evaluations used up" if bench.effort.cycles >= most else ""
+        ends.append(stopped or ("settled" if _settled(iterates) else ""))
+        return bool(ends[-1])
 
-    scale = 1.0
-    scale = abs(at(start[free]).goal) or 1.0
-    known.clear() if not np.isfinite(scale) else known.update(
-        {k: Slopes(s.goal / scale, s.excess, s.goal_gradient / scale, s.excess_gradient) for k, s in known.items()}
-    )
+    first = at(start[free])
     if interrupted:
         raise interrupted[0]
+    scale = abs(first.goal) if np.isfinite(first.goal) and first.goal else 1.0
     model, watch, x = _Model(n, m, at), _Watch(n, m, note), ca.MX.sym("x", n)
     f, g = model(x)
+    f = f / scale
     options = {
         "ipopt": {
             "hessian_approximation": "limited-memory", "tol": TOLERANCE, "acceptable_tol": ACCEPTABLE, "acceptable_iter": 3,
@@ -182,12 +186,9 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
     }  # fmt: skip
     solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": g}, options)
     found = solver(x0=start[free], lbx=0.0, ubx=1.0, lbg=-np.inf, ubg=0.0)
-    if interrupted:
-        for best in sorted(iterates, key=lambda i: (max(i.worst, ACCEPTABLE), i.goal))[:1]:
-            bench.at(bench.rounded(best.u))
+    if interrupted and not (isinstance(interrupted[0], KeyboardInterrupt) and iterates):
         raise interrupted[0]
-    u, excess = whole(np.array(found["x"]).ravel()), np.array(found["g"]).ravel()
-    status = str(solver.stats()["return_status"])
-    return Solved(
-        u, float(found["f"]) * scale, float(np.max(excess, initial=0.0)), np.array(found["lam_g"]).ravel() * scale, status, tuple(iterates)
-    )
+    status = INTERRUPTED if interrupted else ends[-1] or str(solver.stats()["return_status"]).replace("_", " ").lower()
+    # Where it did not end by itself, its best iterate is worth more than its last.
+    best = min(iterates, key=lambda i: (max(i.worst, MET), i.goal))
+    return Solved(best.u, best.goal, best.worst, np.array(found["lam_g"]).ravel() * scale, status, tuple(iterates))

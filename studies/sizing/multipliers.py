@@ -11,7 +11,7 @@ from halfshaft.cosim.compiled import Array
 from halfshaft.studies.sizing.evaluator import Slopes
 
 #: A limit this near to its target may bind: the mass of a vehicle that is built, and whole numbers, leave a little.
-NEAR = 2e-3
+NEAR = 5e-3
 #: A variable so near to a bound is at it.
 AT = 1e-6
 

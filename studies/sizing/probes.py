@@ -7,16 +7,17 @@ and their gradients are central differences.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import acceleration_cycle
-from halfshaft.cosim.simulate import stepper_of
+from halfshaft.cosim.gradient import figure_gradient, slopes
+from halfshaft.cosim.simulate import run, stepper_of
 from halfshaft.library.base.errors import HalfshaftError, InputError
 from halfshaft.library.base.tags import part_of
 from halfshaft.models.vehicle import Vehicle
@@ -34,17 +35,25 @@ from halfshaft.studies.acceleration import (
     shifting,
 )
 from halfshaft.studies.batch import run_batch
-from halfshaft.studies.conditions import window
+from halfshaft.studies.conditions import charge_at, window
 from halfshaft.studies.gradeability import GradeabilityTest
 from halfshaft.studies.sizes import KINDS, TAGS, amount
 from halfshaft.studies.soc_correction import AROUND, OUTSIDE, Linear, first_charge
 from halfshaft.studies.task import Drive, Task
 
-#: Figures by name, NaN where there is none; and their gradients.
-Figures = dict[str, float]
-Gradients = dict[str, Array]
+#: Figures by name, NaN where there is none.
+Figures: TypeAlias = dict[str, float]
+FUEL = "fuel_economy_L_per_100km"
 #: Step of a central difference, over the number or 1.
 STEP = 2e-3
+
+
+class Sloped(NamedTuple):
+    """Figures, their gradients over numbers of the vehicle, and how many vehicles were tried for these."""
+
+    values: Figures
+    gradients: dict[str, Array]
+    cost: int
 
 
 def numbers(vehicle: Vehicle) -> dict[str, Any]:
@@ -64,10 +73,6 @@ class Probe:
     def drives(self) -> bool:
         """Whether it drives a cycle, so that it counts as an evaluation of one."""
         return not isinstance(self.task, AccelerationTest | TopSpeedTest | GradeabilityTest)
-
-    def cost(self, names: Sequence[str]) -> int:
-        """Return how many vehicles are tried for a gradient."""
-        return 2 * len(names) + 1
 
     def at(self, vehicle: Vehicle) -> Figures:
         """Return the figures of a vehicle."""
@@ -91,22 +96,25 @@ class Probe:
         """Return figures of many vehicles at once; None if there is no way."""
         return None
 
-    def slopes(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> tuple[Figures, Gradients]:
-        """Return figures, and their gradients over numbers of the vehicle."""
-        steps = [STEP * (abs(vehicle.values[name]) or 1.0) for name in names]
+    def slopes(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped:
+        """Return figures with their gradients over numbers of the vehicle."""
+        if found := self.tangents(vehicle, names, wanted):
+            return found
+        steps = np.array([STEP * (abs(vehicle.values[name]) or 1.0) for name in names])
         columns = {name: np.full(2 * len(names) + 1, vehicle.values[name]) for name in names}
         for i, (name, h) in enumerate(zip(names, steps, strict=True)):
-            columns[name][2 * i + 1] += h
-            columns[name][2 * i + 2] -= h
-        found = self.many(vehicle, columns, wanted)
+            columns[name][2 * i + 1 : 2 * i + 3] += h, -h
         gradients = {}
-        for figure, x in found.items():
+        for figure, x in (found := self.many(vehicle, columns, wanted)).items():
             up, down = x[1::2], x[2::2]
             # At a bound there is one side only.
-            both = (up - down) / (2 * np.array(steps))
-            one = np.where(np.isnan(up), x[0] - down, up - x[0]) / np.array(steps)
+            both, one = (up - down) / (2 * steps), np.where(np.isnan(up), x[0] - down, up - x[0]) / steps
             gradients[figure] = np.where(np.isnan(both), one, both)
-        return {figure: float(x[0]) for figure, x in found.items()}, gradients
+        return Sloped({figure: float(x[0]) for figure, x in found.items()}, gradients, 2 * len(names) + 1)
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return the same by the tangents of runs; None if there is no way."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -138,6 +146,45 @@ class DriveProbe(Probe):
             return None
         return {figure: found[figure].values for figure in wanted}
 
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return figures with their gradients by the tangents of a run."""
+        values, gradients = _run(vehicle, names, np.eye(len(names)), self.task)
+        if not all(figure in values and figure in gradients for figure in wanted):
+            return None
+        return Sloped({figure: values[figure] for figure in wanted}, {figure: gradients[figure] for figure in wanted}, 1)
+
+
+def _run(vehicle: Vehicle, names: Sequence[str], chain: Array, task: Drive | Linear) -> tuple[Figures, dict[str, Array]]:
+    """Return the figures of a run that are numbers, and their gradients; the chain is what the names are of those that vary."""
+    values = {
+        name: float(x) for name, x in run(vehicle, task.cycle, mode=task.mode, dt=task.dt, history=False).figures.items()
+        if isinstance(x, int | float)
+    }  # fmt: skip
+    found = figure_gradient(vehicle, task.cycle, names, mode=task.mode, dt=task.dt)
+    return values, {figure: np.array([of[name] for name in names]) @ chain for figure, of in found.items()}
+
+
+def _started(
+    vehicle: Vehicle, names: Sequence[str], place: Callable[[Vehicle], float | None], soc: float | None
+) -> tuple[Vehicle, Sequence[str], Array]:
+    """Return the vehicle at a charge to start from, the numbers by which it is derived, and what these are of the names that vary.
+
+    Where the window of the charge is among these, the start moves with it; its place in the window goes in proportion.
+    """
+    starts, eye = vehicle.tags.all_of("start charge"), np.eye(len(names))
+    if soc is None or not starts:
+        return vehicle, names, eye
+    car = vehicle.with_values(dict.fromkeys(starts, soc))
+    ends = [name for name in _window(vehicle) if name in names]
+    if not ends:
+        return car, names, eye
+    moved = np.zeros(len(names))
+    for name in ends:
+        h = STEP * (abs(vehicle.values[name]) or 1.0)
+        near = [place(vehicle.displaced({name: vehicle.values[name] + x})) or 0.0 for x in (-h, h)]
+        moved[names.index(name)] = (near[1] - near[0]) / (2 * h)
+    return car, [*names, *starts], np.vstack([eye, *[moved] * len(starts)])
+
 
 @dataclass(frozen=True)
 class LinearProbe(Probe):
@@ -154,18 +201,37 @@ class LinearProbe(Probe):
     def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
         """Return figures of many vehicles at once; None if there is no way."""
         starts = vehicle.tags.all_of("start charge")
-        if set(wanted) != {"fuel_economy_L_per_100km"} or set(starts) & columns.keys():
+        if set(wanted) != {FUEL} or set(starts) & columns.keys():
             return None
         fuel, change = [], []
         for soc in self.ends(vehicle):
             d = run_batch(vehicle, {**columns, **dict.fromkeys(starts, soc)}, self.task.cycle, mode=self.task.mode, dt=self.task.dt)
-            fuel.append(d["fuel_economy_L_per_100km"].values)
+            fuel.append(d[FUEL].values)
             change.append((d["soc_end"] - d["soc_start"]).values)
         with np.errstate(all="ignore"):
             kept = fuel[0] - change[0] * (fuel[1] - fuel[0]) / (change[1] - change[0])
         # As the task has it: one run will do where the charge is kept in it, and of one side only nothing can be told.
         kept = np.where(change[0] * change[1] > 0, np.nan, kept)
         return {wanted[0]: np.where(np.abs(change[0]) <= self.task.tolerance, fuel[0], kept)}
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return the fuel with its gradient by the tangents of both runs."""
+        if set(wanted) != {FUEL} or set(vehicle.tags.all_of("start charge")) & set(names):
+            return None
+        f, df, d, dd = [], [], [], []
+        for i, soc in enumerate(self.ends(vehicle)):
+            values, gradients = _run(*_started(vehicle, names, lambda car, i=i: self.ends(car)[i], soc), self.task)
+            f.append(values[FUEL])
+            df.append(gradients[FUEL])
+            d.append(values["soc_end"] - values["soc_start"])
+            dd.append(gradients["soc_end"] - gradients["soc_start"])
+            if abs(d[0]) <= self.task.tolerance:
+                return Sloped({FUEL: f[0]}, {FUEL: df[0]}, 1)
+        if d[0] * d[1] > 0:
+            return Sloped({FUEL: np.nan}, {FUEL: np.full(len(names), np.nan)}, 1)
+        share = d[0] / (d[0] - d[1])
+        dshare = (dd[0] * (1 - share) + dd[1] * share) / (d[0] - d[1])
+        return Sloped({FUEL: f[0] + share * (f[1] - f[0])}, {FUEL: df[0] + share * (df[1] - df[0]) + dshare * (f[1] - f[0])}, 1)
 
 
 @dataclass(frozen=True)
@@ -186,6 +252,18 @@ class FullEffortProbe(Probe):
                 start, end = (crossing(time, v, x * unit) if x else 0.0 for x in (low, high))
                 found[figure][i] = end - start
         return found
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return times with their gradients by the tangents of a run."""
+        if (pairs := self.pairs(wanted)) is None:
+            return None
+        unit = IN_MPS[self.task.unit]
+        time, v, dv = _felt(self.task, vehicle, names, max(high for _, high in pairs) * unit, STEADY)
+        values, gradients = {}, {}
+        for figure, ends in zip(wanted, pairs, strict=True):
+            (t0, dt0), (t1, dt1) = (crossing_slope(time, v, dv, x * unit) if x else (0.0, np.zeros(len(names))) for x in ends)
+            values[figure], gradients[figure] = t1 - t0, dt1 - dt0
+        return Sloped(values, gradients, 1)
 
     def pairs(self, wanted: Sequence[str]) -> list[tuple[float, float]] | None:
         """Return the speeds of the figures; None if one is no time between speeds."""
@@ -208,6 +286,30 @@ class TopSpeedProbe(Probe):
         for i, _, v in _driven(self.task, vehicle, columns, np.inf, STEADIEST):
             found[i] = v.max()
         return {wanted[0]: found}
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return the speed with its gradient by the tangents of a run."""
+        if set(wanted) != {"top_speed_mps"} or self.task.resting:
+            return None
+        _, v, dv = _felt(self.task, vehicle, names, np.inf, STEADIEST)
+        i = int(v.argmax())
+        return Sloped({wanted[0]: float(v[i])}, {wanted[0]: dv[i]}, 1)
+
+
+def _felt(
+    test: AccelerationTest | TopSpeedTest, vehicle: Vehicle, names: Sequence[str], highest: float, steady: float
+) -> tuple[Array, Array, Array]:
+    """Return time and speed of a vehicle at full effort with the speed's gradients, held until a speed is reached or nothing is gained."""
+    car, own, chain = _started(test.applied(vehicle, "middle", more=shifting(vehicle)), names, _middle, _middle(vehicle))
+    mode, speed = test.solved(car, test.mode), stepper_of(car).step.tags.the("speed")
+    for held in DURATIONS:
+        cycle = acceleration_cycle(REQUEST, t_start=T_START, duration=held)
+        found = slopes(car, cycle, own, (), history=(speed,), mode=mode, dt=DT)
+        v = found.history[speed]
+        late = len(v) - len(v) // 10
+        if v.max() >= highest or v[late:].max() - v[:late].max() < steady:
+            break
+    return found.time, v, found.history_gradient[speed] @ chain
 
 
 def _driven(
@@ -246,10 +348,29 @@ def crossing(time: Array, speed: Array, v: float) -> float:
     return float(time[i - 1] + share * (time[i] - time[i - 1])) - T_START
 
 
+def crossing_slope(time: Array, speed: Array, gradient: Array, v: float) -> tuple[float, Array]:
+    """Return the time to a speed, and its gradient from those of the speeds on either side."""
+    above = np.flatnonzero(speed >= v)
+    if not len(above):
+        return np.nan, np.full(gradient.shape[1], np.nan)
+    i = int(above[0])
+    a, b = (speed[i - 1], speed[i]) if i else (0.0, speed[0])
+    da, db = (gradient[i - 1], gradient[i]) if i else (np.zeros(gradient.shape[1]), gradient[0])
+    length = time[i] - (time[i - 1] if i else 0.0)
+    return crossing(time, speed, v), -length * (da * (b - v) + db * (v - a)) / (b - a) ** 2
+
+
 def touched(vehicle: Vehicle, columns: Mapping[str, Any]) -> bool:
     """Return whether the window of the charge differs, from which a test takes where to start."""
-    ends = [name for tag in ("lowest charge", "highest charge") for name in vehicle.tags.all_of(tag)]
-    return bool(set(ends) & columns.keys())
+    return bool(set(_window(vehicle)) & columns.keys())
+
+
+def _middle(vehicle: Vehicle) -> float | None:
+    return charge_at(vehicle, "middle")
+
+
+def _window(vehicle: Vehicle) -> list[str]:
+    return [name for tag in ("lowest charge", "highest charge") for name in vehicle.tags.all_of(tag)]
 
 
 def probe_of(task: Task | None) -> Probe:

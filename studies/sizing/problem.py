@@ -15,13 +15,13 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Literal, NamedTuple, TypeAlias
 
+from halfshaft.cosim.figures import unit_of
 from halfshaft.library.base.errors import InputError, nearest, not_a
 from halfshaft.library.base.parameters import Spec
 from halfshaft.library.base.tags import part_of
 from halfshaft.library.files.component_file import Reader, shown
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.acceleration import IN_MPS, NAMES, REQUEST, AccelerationTest, TopSpeedTest
-from halfshaft.studies.figures import unit_of
 from halfshaft.studies.gradeability import GradeabilityTest
 from halfshaft.studies.sizes import KINDS, NAMED, TAGS, amount, misfits, pinned
 from halfshaft.studies.sizing.expressions import Expression, read_expression
