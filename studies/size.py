@@ -19,10 +19,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
+from halfshaft.cosim.gradient import value_of
 from halfshaft.library.base.errors import InputError, number
 from halfshaft.library.files.notebook import Grid, card
 from halfshaft.models.vehicle import Vehicle
@@ -104,6 +105,8 @@ class Optimum:
         The runs of IPOPT, each with its iterations.
     effort
         How much was evaluated.
+    sensitivities
+        By how much the optimum's goal rises where another number of the vehicle is 1 % larger, sizes following.
     notes
         What a user should know.
 
@@ -122,6 +125,7 @@ class Optimum:
     tried: tuple[Tried, ...] = field(repr=False)
     runs: tuple[Solved, ...] = field(repr=False)
     effort: Effort
+    sensitivities: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
@@ -170,6 +174,11 @@ class Optimum:
             for f in self.limits
         ]
 
+    def sensitivity_rows(self) -> list[tuple[str, str, str]]:
+        """Return number, its value, and what 1 % more of it does to the goal, as texts."""
+        specs = {**self.vehicle.specs, **{name: rated.spec for name, rated in self.vehicle.rated.items()}}
+        return [(name, specs[name].shown(value_of(self.vehicle, name)), f"{x:+.3g}") for name, x in self.sensitivities.items()]
+
     def goal_row(self) -> tuple[str, ...]:
         """Return the goal with its value before and after, as texts."""
         return (self.problem.minimise, self.bound.goal_unit, f"{self.goal_before:.5g}", f"{self.goal:.5g}")
@@ -181,6 +190,7 @@ class Optimum:
             Grid(("goal", "unit", "before", "after"), [self.goal_row()]),
             Grid(("variable", "bounds", "before", "after", ""), self.variable_rows()),
             Grid(("limit", "target", "before", "after", "costs", ""), self.limit_rows()),
+            *([Grid(("number", "value", "1 % more of it"), self.sensitivity_rows())] if self.sensitivities else []),
         )  # fmt: skip
 
 
@@ -268,6 +278,41 @@ def resized(optimum: Optimum, limit: int, target: float, *, whole: bool = False)
     return _sized(bound, "ipopt", lambda bench, note: minimise(bench, [bench.scaled(values)], note))
 
 
+class Price(NamedTuple):
+    """What a limit costs: by its multiplier, and by the vehicles that are best with its target a little tighter and a little looser."""
+
+    title: str
+    unit: str
+    multiplier: float
+    tighter: float
+    looser: float
+
+
+def measured_prices(optimum: Optimum, share: float = 0.01) -> list[Price]:
+    """Return what each limit that binds costs, in the goal's unit per unit of the user, by sizing again with another target.
+
+    A multiplier is the slope where the optimum is.  Where another limit soon binds too, or a gear changes, a change that can be seen has
+    another price, and not the same in both directions.
+
+    Parameters
+    ----------
+    optimum
+        What was found; its whole numbers stay.
+    share
+        By how much of itself the target is moved.
+
+    """
+    found = []
+    for i, f in enumerate(optimum.limits):
+        if f.price > 0:
+            step = share * f.limit.scale
+            both = [resized(optimum, i, f.limit.target + x, whole=True) for x in (-f.limit.sign * step, f.limit.sign * step)]
+            rises = [o.goal - optimum.goal if o.holds else math.nan for o in both]
+            factor = f.limit.factor
+            found.append(Price(f.limit.title, f.limit.unit, f.price * factor, rises[0] / step * factor, -rises[1] / step * factor))
+    return found
+
+
 def _missed(optimum: Optimum) -> float:
     return sum(min(max(f.limit.sign * (f.after - f.limit.target) / f.limit.scale, 0.0), 10.0) if math.isfinite(f.after) else 10.0
                for f in optimum.limits)  # fmt: skip
@@ -299,6 +344,7 @@ def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, 
     car = bench.vehicle(u)
     status: Status = "interrupted" if interrupted else "holds" if again.holds else "infeasible"
     multipliers: Multipliers | None = None
+    sensitivities: dict[str, float] = {}
     slope = np.full(len(u), np.nan)
     if again.holds and not interrupted:
         slopes = bench.slopes(u)
@@ -309,6 +355,11 @@ def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, 
             notes.append(
                 f"the slopes of goal and limits balance to {100 * multipliers.rest:.0f} % only: here something jumps, and prices are rough"
             )
+        if others := bound.problem.sensitivities:
+            by = bench.slopes_by(u, others)
+            # Of the limits that bind, what a number does is paid at their price.
+            each = by.goal_gradient + multipliers.limits @ np.nan_to_num(by.excess_gradient)
+            sensitivities = {name: float(0.01 * value_of(car, name) * x) for name, x in zip(others, each, strict=True)}
     prices = np.zeros(len(bound.limits)) if multipliers is None else multipliers.limits
     limits = tuple(
         LimitFound(
@@ -332,7 +383,8 @@ def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, 
         problem=bound.problem, bound=bound, method=method,
         vehicle=replace(car, name=f"{bound.problem.name}-sized", title=f"{bound.problem.vehicle.title}, sized"),
         status=status, holds=again.holds, goal=again.goal, goal_before=before.goal, variables=variables, limits=limits,
-        tried=tuple(bench.tried), runs=tuple(runs), effort=bench.effort, notes=tuple(notes),
+        tried=tuple(bench.tried), runs=tuple(runs), effort=bench.effort,
+        sensitivities=sensitivities, notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -385,6 +437,7 @@ def results(optimum: Optimum) -> Mapping[str, object]:
             }
             for f in optimum.limits
         ],
+        "sensitivities": optimum.sensitivities,
         "evaluations": {"cycles": optimum.effort.cycles, "of_these_with_gradient": optimum.effort.slopes, "limits": optimum.effort.limits},
         "notes": optimum.notes,
     }  # fmt: skip

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from halfshaft.studies.batch import run_batch
     from halfshaft.studies.compare import compare
     from halfshaft.studies.pictures import plot_sweep
+    from halfshaft.studies.size import size
     from halfshaft.studies.sweep import sweep
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "plot_sweep",
     "run",
     "run_batch",
+    "size",
     "sweep",
     "vehicle_names",
 ]
@@ -55,6 +57,7 @@ _HOMES = {
     "plot_sweep": "studies.pictures",
     "run": "cosim.simulate",
     "run_batch": "studies.batch",
+    "size": "studies.size",
     "sweep": "studies.sweep",
     "vehicle_names": "models.vehicle",
 }

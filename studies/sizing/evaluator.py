@@ -6,13 +6,14 @@ target, over the target; at most 0 where it holds.  What was never reached has a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.library.base.errors import HalfshaftError, InputError
@@ -20,6 +21,7 @@ from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.sizing.probes import Probe, probe_of
 from halfshaft.studies.sizing.problem import OWN, Bound, Ref, Term
 
+Mask: TypeAlias = npt.NDArray[np.bool_]
 #: A limit holds up to rounding.
 ROUNDING = 1e-9
 
@@ -96,7 +98,7 @@ class Bench:
         return np.array([v.high - v.low for v in self.problem.variables])
 
     @cached_property
-    def whole(self) -> Array:
+    def whole(self) -> Mask:
         """Which variables are whole numbers."""
         return np.array([v.whole for v in self.problem.variables], dtype=bool)
 
@@ -181,29 +183,36 @@ class Bench:
 
     def slopes(self, u: Array) -> Slopes:
         """Return goal and excesses on the smooth base, with their gradients over the scaled variables; NaN where nothing can be built."""
-        limits, names, terms = self.problem.limits, self.problem.names, [self.problem.goal, *(x.term for x in self.problem.limits)]
+        names = self.problem.names
+        # What a scaled variable does to each number.
+        chain = np.array([[v.shares.get(name, 0.0) for v in self.problem.variables] for name in names]) * self.span
+        found = self.slopes_by(u, names)
+        return found._replace(goal_gradient=found.goal_gradient @ chain, excess_gradient=found.excess_gradient @ chain)
+
+    def slopes_by(self, u: Array, names: Sequence[str]) -> Slopes:
+        """Return the same with gradients over numbers of the vehicle."""
+        limits, terms = self.problem.limits, [self.problem.goal, *(x.term for x in self.problem.limits)]
         try:
             car = self.base.with_values(self.numbers(u, exact=False))
         except InputError:
-            n, m = len(u), len(limits)
+            n, m = len(names), len(limits)
             return Slopes(np.nan, np.full(m, np.inf), np.full(n, np.nan), np.full((m, n), np.nan))
-        # What a scaled variable does to each number.
-        chain = np.array([[v.shares.get(name, 0.0) for v in self.problem.variables] for name in names]) * self.span
         found: dict[Ref, tuple[float, Array]] = {}
         cost = 0
         for key, wanted in self._wanted(goal=True).items():
-            own = self.probes[key].slopes(car, names, wanted)
-            found |= {Ref(key, figure): (own.values[figure], own.gradients[figure] @ chain) for figure in wanted}
-            cost = max(cost, own.cost * self.probes[key].drives)
+            sloped = self.probes[key].slopes(car, names, wanted)
+            found |= {Ref(key, figure): (sloped.values[figure], sloped.gradients[figure]) for figure in wanted}
+            cost = max(cost, sloped.cost * self.probes[key].drives)
+        self.effort.slopes += 1
+        self.effort.cycles += cost
         values, rows = [], []
         for term in terms:
             value, own = term.expression(np.array([found[ref][0] for ref in term.refs]))
             values.append(value[0])
             rows.append(own[0] @ np.array([found[ref][1] for ref in term.refs]))
         scales = np.array([limit.sign / limit.scale for limit in limits])
-        self.effort.slopes += 1
-        self.effort.cycles += cost
-        return Slopes(values[0], self.excess(np.array(values[1:])), rows[0], np.array(rows[1:]).reshape(len(limits), -1) * scales[:, None])
+        gradients = np.array(rows[1:]).reshape(len(limits), len(names)) * scales[:, None]
+        return Slopes(values[0], self.excess(np.array(values[1:])), rows[0], gradients)
 
     def excess(self, values: Array) -> Array:
         """Return how far values of the limits are on the wrong side, over the targets."""

@@ -40,7 +40,8 @@ def evolve(bench: Bench, *, evaluations: int, seed: int = 0) -> None:
 
     def excess(rows: Array) -> Array:
         found = np.array([t.excess for t in tried(rows.reshape(n, -1))]).T
-        return np.clip(found, -1.0, MOST_EXCESS)
+        clipped: Array = np.clip(found, -1.0, MOST_EXCESS)
+        return clipped
 
     limits = NonlinearConstraint(excess, -np.inf, 0.0) if bench.problem.limits else ()
     # A generation of the same vehicles as before takes no evaluations, so generations are counted too.

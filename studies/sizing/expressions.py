@@ -21,6 +21,7 @@ from halfshaft.cosim.compiled import Array
 
 #: Longest text, and deepest nesting.
 LONGEST, DEEPEST = 2000, 50
+LARGEST = 1e300
 OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv, ast.Pow: operator.pow,
 }  # fmt: skip
@@ -80,7 +81,7 @@ def _check(node: ast.AST, names: dict[str, None], depth: int) -> None:
     """Note the names, and raise an error at anything that an expression does not have."""
     if depth > DEEPEST:
         raise ValueError("has too many levels")
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float) and abs(node.value) < 1e300:
+    if (x := _number(node)) is not None and abs(x) < LARGEST:
         return
     if (name := _name(node)) is not None:
         names.setdefault(name)
@@ -112,14 +113,16 @@ def _name(node: ast.AST) -> str | None:
 def _number(node: ast.AST) -> float | None:
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         return None if (x := _number(node.operand)) is None else -x
-    return float(node.value) if isinstance(node, ast.Constant) and type(node.value) in (int, float) else None
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
+        return float(node.value)
+    return None
 
 
 def _built(node: Any, symbols: Mapping[str, Any]) -> Any:
     if (name := _name(node)) is not None:
         return symbols[name]
     if isinstance(node, ast.Constant):
-        return float(node.value)  # type: ignore[arg-type]
+        return _number(node)
     if isinstance(node, ast.BinOp):
         right = _number(node.right) if isinstance(node.op, ast.Pow) else _built(node.right, symbols)
         return OPERATORS[type(node.op)](_built(node.left, symbols), right)

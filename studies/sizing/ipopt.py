@@ -42,7 +42,7 @@ class Solved:
     iterates: tuple[Iterate, ...]
 
 
-class _Model(ca.Callback):  # type: ignore[misc]
+class _Model(ca.Callback):
     """Goal and excesses as a CasADi function whose Jacobian comes with the values."""
 
     def __init__(self, n: int, m: int, at: Callable[[Array], Slopes]) -> None:
@@ -76,7 +76,7 @@ class _Model(ca.Callback):  # type: ignore[misc]
         return jacobian
 
 
-class _Jacobian(ca.Callback):  # type: ignore[misc]
+class _Jacobian(ca.Callback):
     """The Jacobian of the model; its inputs are those of the model and its outputs."""
 
     def __init__(self, model: _Model, name: str, options: Any) -> None:
@@ -101,7 +101,7 @@ class _Jacobian(ca.Callback):  # type: ignore[misc]
         return [ca.DM(found.goal_gradient).T, ca.DM(found.excess_gradient)]
 
 
-class _Watch(ca.Callback):  # type: ignore[misc]
+class _Watch(ca.Callback):
     """Notes each iteration, and ends the solver when it is told to."""
 
     def __init__(self, n: int, m: int, note: Callable[[Array, float, Array], bool]) -> None:
@@ -176,7 +176,8 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
     model, watch, x = _Model(n, m, at), _Watch(n, m, note), ca.MX.sym("x", n)
     f, g = model(x)
     f = f / scale
-    options = {
+    problem: Any = {"x": x, "f": f, "g": g}
+    options: Any = {
         "ipopt": {
             "hessian_approximation": "limited-memory", "tol": TOLERANCE, "acceptable_tol": ACCEPTABLE, "acceptable_iter": 3,
             "max_iter": iterations, "print_level": 0, "sb": "yes", "mu_init": 1e-3, "bound_relax_factor": 0.0,
@@ -184,7 +185,7 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
         },
         "print_time": False, "iteration_callback": watch, "error_on_fail": False, "show_eval_warnings": False,
     }  # fmt: skip
-    solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": g}, options)
+    solver = ca.nlpsol("solver", "ipopt", problem, options)
     found = solver(x0=start[free], lbx=0.0, ubx=1.0, lbg=-np.inf, ubg=0.0)
     if interrupted and not (isinstance(interrupted[0], KeyboardInterrupt) and iterates):
         raise interrupted[0]

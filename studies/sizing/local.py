@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Slopes, Tried
+from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Mask, Slopes, Tried
 
 #: Half the first box and the smallest, in parts of the bounds; its growth and its shrinking.
 FIRST, LAST, GROWTH, SHRINKING = 0.04, 2e-4, 2.0, 0.35
@@ -27,7 +27,7 @@ ELASTIC = 100.0
 HOPELESS = 5e-3
 
 
-def program(slopes: Slopes, excess: Array, box: tuple[Array, Array], free: Array) -> Array:
+def program(slopes: Slopes, excess: Array, box: tuple[Array, Array], free: Mask) -> Array:
     """Return the step, within the box, that is best by linear goal and limits; if none meets all limits, the one that misses them least."""
     n, m = int(free.sum()), len(excess)
     scale = abs(slopes.goal) or 1.0
@@ -70,7 +70,7 @@ def _better(a: Tried, b: Tried) -> bool:
     return a.holds if a.holds != b.holds else a.worst < b.worst
 
 
-def _corrected(bench: Bench, u: Array, step: Array, slopes: Slopes, box: tuple[Array, Array], free: Array) -> Array | None:
+def _corrected(bench: Bench, u: Array, step: Array, slopes: Slopes, box: tuple[Array, Array], free: Mask) -> Array | None:
     """Return a proposal that meets the limits that drive no cycle, or comes nearest to it; None where it cannot be built."""
     best: tuple[float, Array] | None = None
     for _ in range(CORRECTIONS):
@@ -102,7 +102,8 @@ def neighbours(bench: Bench, best: Tried) -> Iterator[Array]:
 def around(bench: Bench, u: Array) -> Iterator[Array]:
     """Yield the points with whole numbers on either side of a relaxed one, the nearest first."""
     x = bench.values(u)
-    ends = [sorted({np.floor(y), np.ceil(y)}, key=lambda k, y=y: abs(k - y)) if w else [y] for y, w in zip(x, bench.whole, strict=True)]
+    near, far = np.round(x), np.where(np.round(x) > x, np.floor(x), np.ceil(x))
+    ends = [dict.fromkeys((a, b)) if w else [y] for a, b, y, w in zip(near, far, x, bench.whole, strict=True)]
     yield from (bench.scaled(np.array(row)) for row in product(*ends))
 
 

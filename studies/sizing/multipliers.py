@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.studies.sizing.evaluator import Slopes
+from halfshaft.studies.sizing.evaluator import Mask, Slopes
 
 #: A limit this near to its target may bind: the mass of a vehicle that is built, and whole numbers, leave a little.
 NEAR = 5e-3
@@ -26,7 +26,7 @@ class Multipliers:
     rest: float
 
 
-def multipliers_of(u: Array, slopes: Slopes, excess: Array, free: Array) -> Multipliers:
+def multipliers_of(u: Array, slopes: Slopes, excess: Array, free: Mask) -> Multipliers:
     """Return the multipliers with which the conditions of an optimum are met best by least squares, none of them below 0.
 
     Parameters

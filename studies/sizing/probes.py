@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -59,7 +60,7 @@ class Sloped(NamedTuple):
 def numbers(vehicle: Vehicle) -> dict[str, Any]:
     """Return the vehicle's own numbers: parameters, ratings, sizes and mass."""
     rated = {name: r.of(vehicle.parameters[part_of(name)]) for name, r in vehicle.rated.items()}
-    sizes = {kind: amount(vehicle, kind) for kind in KINDS if vehicle.tags.all_of(TAGS[kind])}
+    sizes: dict[str, Any] = {str(kind): amount(vehicle, kind) for kind in KINDS if vehicle.tags.all_of(TAGS[kind])}
     return {**vehicle.values, **rated, **sizes, "mass": vehicle.values[vehicle.tags.the("vehicle mass")]}
 
 
@@ -98,14 +99,14 @@ class Probe:
 
     def slopes(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped:
         """Return figures with their gradients over numbers of the vehicle."""
-        if found := self.tangents(vehicle, names, wanted):
-            return found
+        if sloped := self.tangents(vehicle, names, wanted):
+            return sloped
         steps = np.array([STEP * (abs(vehicle.values[name]) or 1.0) for name in names])
         columns = {name: np.full(2 * len(names) + 1, vehicle.values[name]) for name in names}
         for i, (name, h) in enumerate(zip(names, steps, strict=True)):
             columns[name][2 * i + 1 : 2 * i + 3] += h, -h
-        gradients = {}
-        for figure, x in (found := self.many(vehicle, columns, wanted)).items():
+        found, gradients = self.many(vehicle, columns, wanted), {}
+        for figure, x in found.items():
             up, down = x[1::2], x[2::2]
             # At a bound there is one side only.
             both, one = (up - down) / (2 * steps), np.where(np.isnan(up), x[0] - down, up - x[0]) / steps
@@ -192,6 +193,9 @@ class LinearProbe(Probe):
 
     task: Linear
 
+    def _end(self, i: int, vehicle: Vehicle) -> float:
+        return self.ends(vehicle)[i]
+
     def ends(self, vehicle: Vehicle) -> tuple[float, float]:
         """Return the charges at the start."""
         ends = window(vehicle)
@@ -220,7 +224,7 @@ class LinearProbe(Probe):
             return None
         f, df, d, dd = [], [], [], []
         for i, soc in enumerate(self.ends(vehicle)):
-            values, gradients = _run(*_started(vehicle, names, lambda car, i=i: self.ends(car)[i], soc), self.task)
+            values, gradients = _run(*_started(vehicle, names, partial(self._end, i), soc), self.task)
             f.append(values[FUEL])
             df.append(gradients[FUEL])
             d.append(values["soc_end"] - values["soc_start"])
@@ -268,7 +272,7 @@ class FullEffortProbe(Probe):
     def pairs(self, wanted: Sequence[str]) -> list[tuple[float, float]] | None:
         """Return the speeds of the figures; None if one is no time between speeds."""
         named = {f"time_{low:g}_to_{high:g}_{NAMES[self.task.unit]}_s": (low, high) for low, high in self.task.pairs}
-        own = self.task.routine == "2000" and self.task.duration is None and self.task.resting is None
+        own = self.task == AccelerationTest(pairs=self.task.pairs, unit=self.task.unit, within=self.task.within, over=self.task.over)
         return [named[figure] for figure in wanted] if own and all(figure in named for figure in wanted) else None
 
 
@@ -280,7 +284,7 @@ class TopSpeedProbe(Probe):
 
     def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
         """Return figures of many vehicles at once; None if there is no way."""
-        if set(wanted) != {"top_speed_mps"} or self.task.resting:
+        if set(wanted) != {"top_speed_mps"} or self.task != TopSpeedTest():
             return None
         found = np.full(_runs(columns), np.nan)
         for i, _, v in _driven(self.task, vehicle, columns, np.inf, STEADIEST):
@@ -289,7 +293,7 @@ class TopSpeedProbe(Probe):
 
     def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
         """Return the speed with its gradient by the tangents of a run."""
-        if set(wanted) != {"top_speed_mps"} or self.task.resting:
+        if set(wanted) != {"top_speed_mps"} or self.task != TopSpeedTest():
             return None
         _, v, dv = _felt(self.task, vehicle, names, np.inf, STEADIEST)
         i = int(v.argmax())

@@ -141,6 +141,8 @@ class Problem:
         What finds the figures, by a name of letters.
     define
         Further names for expressions, such as a ``cost``.
+    sensitivities
+        Other numbers of the vehicle of which to tell how they move the optimum.
 
     """
 
@@ -150,6 +152,7 @@ class Problem:
     limits: tuple[str, ...] = ()
     tasks: Mapping[str, Task] = field(default_factory=dict)
     define: Mapping[str, str] = field(default_factory=dict)
+    sensitivities: tuple[str, ...] = ()
     name: str = "sizing"
     title: str = ""
 
@@ -252,6 +255,9 @@ class _Binder:
             if not key.isidentifier() or key in vehicle.parts or key in (*WORDS, *KINDS, "mass"):
                 self.wrong.append(f"tasks.{key}: must be a name of letters that is no role and no other word")
             self.wrong += [f"tasks.{key}: {p}" for p in getattr(task, "problems", tuple)()]
+        self.reader.keys(problem.sensitivities, {**vehicle.specs, **vehicle.rated}, "sensitivities: ")
+        own = [name for name in problem.sensitivities if name in taken]
+        self.wrong += [f"sensitivities: {name} varies itself, by {taken[name]}" for name in own]
         self.tasks = dict(problem.tasks)
         texts = [text for x in problem.limits if (text := self.split(x))]
         for unit, pairs in self.pairs.items():
@@ -301,7 +307,7 @@ class _Binder:
             self.wrong.append(f"{where} = {shown(text)}, must be two bounds such as 0.5..2 or 20..80 kW")
             return None
         if name in KINDS:
-            kind = KINDS[KINDS.index(name)]  # type: ignore[arg-type]
+            kind = next(k for k in KINDS if k == name)
             if lacking := misfits(vehicle, (kind,)):
                 self.wrong += lacking
                 return None
@@ -428,8 +434,8 @@ class _Binder:
             names = set(read_expression(text).names) & self.problem.define.keys()
             if not names:
                 return text
-            for name in names:
-                text = re.sub(rf"(?<![\w.]){re.escape(name)}(?![\w.])", lambda _, n=name: f"({self.problem.define[n]})", text)
+            either = "|".join(map(re.escape, names))
+            text = str(re.sub(rf"(?<![\w.])({either})(?![\w.])", lambda match: f"({self.problem.define[match[1]]})", text))
         raise ValueError("has names that are defined by themselves")
 
     def ref(self, name: str, where: str, known: Mapping[str, set[str]], vehicle: Vehicle) -> Ref | None:
@@ -456,9 +462,9 @@ class _Binder:
     def unit(self, ref: Ref, vehicle: Vehicle) -> str:
         """Return the unit of a figure."""
         if ref.task != OWN:
-            return unit_of(ref.figure)
+            return str(unit_of(ref.figure))
         if ref.figure in KINDS:
             return "1" if ref.figure == "store" else "W"
         if ref.figure == "mass":
             return "kg"
-        return (vehicle.specs.get(ref.figure) or vehicle.rated[ref.figure].spec).unit
+        return str((vehicle.specs.get(ref.figure) or vehicle.rated[ref.figure].spec).unit)

@@ -5,6 +5,7 @@ A file holds ``schema``, ``kind = "sizing"``, ``name``, ``title`` and what `Prob
     vehicle = "small-car-series"            # of the library, or a file beside this one
     minimise = "fuel"
     limits = ["0-60 mph <= 12 s", "grade at 55 mph >= 6 %"]
+    sensitivities = ["body.c_d", "engine.efficiency_scale"]
 
     [tasks]
     city = {cycle = "udds", correction = "linear"}    # or none, zero-delta; mode, dt
@@ -83,7 +84,16 @@ class _Reader(Reader):
 
     def problem(self) -> Problem:
         """Return what the file says."""
-        extra = {"vehicle": str, "minimise": str, "limits": list, "tasks": dict, "vary": dict, "define": dict, "set": dict}
+        extra = {
+            "vehicle": str,
+            "minimise": str,
+            "limits": list,
+            "tasks": dict,
+            "vary": dict,
+            "define": dict,
+            "set": dict,
+            "sensitivities": list,
+        }
         data = self.toml(str(self.path), read_text(self.path, LARGEST), ["sizing"], extra)
         self.required(data, ("vehicle", "minimise", "vary"), "")
         vehicle = self.taken(lambda: Vehicle.load(self.beside(data["vehicle"])), "vehicle") if "vehicle" in data else None
@@ -96,11 +106,12 @@ class _Reader(Reader):
                 self.problems.append(f"define.{name} = {shown(x)}, must be an expression in quotes")
         self.problems += [f"limits: {shown(x)} must be a text" for x in data.get("limits", ()) if not isinstance(x, str)]
         if vehicle is None:
-            self.finish(str(self.path))
+            raise InputError(str(self.path), self.problems)
         problem = Problem(
             vehicle=vehicle, vary={name: x for name, x in vary.items() if x}, minimise=data.get("minimise", ""),
             limits=tuple(data.get("limits", ())), tasks={name: task for name, task in tasks.items() if task},
-            define=data.get("define", {}), name=data.get("name", ""), title=data.get("title", ""),
+            define=data.get("define", {}), sensitivities=tuple(map(str, data.get("sensitivities", ()))), name=data.get("name", ""),
+            title=data.get("title", ""),
         )  # fmt: skip
         # Where a task is not right, nobody knows what figures there are.
         self.problems += problem.problems(figures=not self.problems)

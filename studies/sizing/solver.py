@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Tried
+from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Mask, Tried
 from halfshaft.studies.sizing.ipopt import INTERRUPTED, Solved, solve
 from halfshaft.studies.sizing.local import around, descend, search
 
@@ -41,12 +41,14 @@ class Scan:
     @property
     def violation(self) -> Array:
         """The sum of what each misses, each limit by 10 at most."""
-        return np.sum(np.clip(self.excess, 0.0, 10.0), axis=1)
+        found: Array = np.sum(np.clip(self.excess, 0.0, 10.0), axis=1)
+        return found
 
     @property
-    def known(self) -> Array:
+    def known(self) -> Mask:
         """Whether all its limits are numbers: what was never reached tells IPOPT nothing."""
-        return np.all(self.excess < np.inf, axis=1)
+        found: Mask = np.all(self.excess < np.inf, axis=1)
+        return found
 
     def and_(self, other: Scan) -> Scan:
         """Return both."""
