@@ -20,7 +20,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from halfshaft import Cycle, Vehicle, component_names, plot_run, run
+from halfshaft import Cycle, Vehicle, component_names, plot_run, run, uncertainty
 from halfshaft.app.show import any_component
 from halfshaft.cosim.maps import plot_maps
 from halfshaft.library.base.component import Component
@@ -29,6 +29,7 @@ from halfshaft.library.base.ports import Port
 from halfshaft.library.base.tables import Table
 from halfshaft.library.files.catalog import component_kinds
 from halfshaft.studies.autosize import Autosize
+from halfshaft.studies.task import Drive
 
 PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -52,9 +53,17 @@ def sized(name: str) -> tuple[Figure, str]:
     return Autosize()(Vehicle.load(name)).plot(), f"Sizes of {name}, trial by trial, and by how much each goal is met"
 
 
+def uncertain() -> tuple[Figure, str]:
+    """Return what the page on uncertainty begins with."""
+    vary = {"body.c_d": "normal(0.335, 0.010)", "body.m": "uniform(1130, 1230 kg)", "wheel.f_0": "lognormal(0.009, 0.0009)"}
+    found = uncertainty(Vehicle.load("small-car-electric"), vary, Drive(Cycle.load("udds")), figures=["energy_Wh_per_km"])
+    return found.plot(), "Consumption of the electric car on UDDS: samples, first order, and shares of the variance"
+
+
 PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
     "one-run": one_run,
     "overlaid": overlaid,
+    "uncertain": uncertain,
     **{f"sized-{kind}": partial(sized, f"small-car-{kind}") for kind in ("series", "parallel", "conventional", "electric")},
 }
 

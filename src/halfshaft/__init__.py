@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from halfshaft.studies.pictures import plot_sweep
     from halfshaft.studies.size import size
     from halfshaft.studies.sweep import sweep
+    from halfshaft.studies.uncertainty import uncertainty
 
 __all__ = [
     "Cycle",
@@ -38,6 +39,7 @@ __all__ = [
     "run_batch",
     "size",
     "sweep",
+    "uncertainty",
     "vehicle_names",
 ]
 
@@ -59,6 +61,7 @@ _HOMES = {
     "run_batch": "studies.batch",
     "size": "studies.size",
     "sweep": "studies.sweep",
+    "uncertainty": "studies.uncertainty",
     "vehicle_names": "models.vehicle",
 }
 
