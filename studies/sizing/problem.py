@@ -35,6 +35,8 @@ SENSES: Mapping[str, Sense] = {"<=": "at most", ">=": "at least"}
 OWN = ""
 #: At most so many combinations of parts.
 MOST_COMBINATIONS = 50
+#: So deep names of a user may lie in each other.
+DEEPEST = 10
 #: How finely a grade is found [1]: its changes tell how it depends on sizes.
 GRADE_FINE = 2e-7
 _NUMBER, _SPEED = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", r"(mph|km/h)"
@@ -426,16 +428,17 @@ class _Binder:
         refs = [self.ref(name, where, known, vehicle) for name in expression.names]
         return Term(expression, tuple(r for r in refs if r)) if expression.names and all(refs) else None
 
-    def defined(self, text: Any) -> str:
+    def defined(self, given: Any) -> str:
         """Return an expression with the user's own names written out."""
-        if not isinstance(text, str):
+        if not isinstance(given, str):
             raise ValueError("must be a text")
-        for _ in range(10):
-            names = set(read_expression(text).names) & self.problem.define.keys()
+        text, define = given, self.problem.define
+        for _ in range(DEEPEST):
+            names = set(read_expression(text).names) & define.keys()
             if not names:
                 return text
             either = "|".join(map(re.escape, names))
-            text = str(re.sub(rf"(?<![\w.])({either})(?![\w.])", lambda match: f"({self.problem.define[match[1]]})", text))
+            text = re.sub(rf"(?<![\w.])({either})(?![\w.])", lambda match: f"({define[match[1]]})", text)
         raise ValueError("has names that are defined by themselves")
 
     def ref(self, name: str, where: str, known: Mapping[str, set[str]], vehicle: Vehicle) -> Ref | None:

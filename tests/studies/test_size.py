@@ -90,7 +90,7 @@ def test_expressions_have_values_and_gradients():
     ],
 )  # fmt: skip
 def test_what_is_no_expression_is_not_read(text):
-    with pytest.raises(ValueError, match="must be made of|longer"):
+    with pytest.raises(ValueError, match=r"must be made of|longer"):
         read_expression(text)
 
 
