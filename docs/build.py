@@ -29,6 +29,8 @@ from halfshaft.library.base.ports import Port
 from halfshaft.library.base.tables import Table
 from halfshaft.library.files.catalog import component_kinds
 from halfshaft.studies.autosize import Autosize
+from halfshaft.studies.size import size
+from halfshaft.studies.sizing.pareto import pareto
 from halfshaft.studies.task import Drive
 
 PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
@@ -60,9 +62,21 @@ def uncertain() -> tuple[Figure, str]:
     return found.plot(), "Consumption of the electric car on UDDS: samples, first order, and shares of the variance"
 
 
+def optimum(name: str) -> tuple[Figure, str]:
+    """Return how a problem of the library was solved."""
+    return size(name).plot(), f"Goal, limits and sizes of the problem {name}, vehicle by vehicle"
+
+
+def front() -> tuple[Figure, str]:
+    """Return the front of the page on sizing."""
+    return pareto("electric", "0-85 mph", range(16, 25)).plot(), "Least energy of the electric car, and its sizes, over the time to 85 mph"
+
+
 PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
     "one-run": one_run,
     "overlaid": overlaid,
+    "optimum-parallel": partial(optimum, "parallel"),
+    "front-electric": front,
     "uncertain": uncertain,
     **{f"sized-{kind}": partial(sized, f"small-car-{kind}") for kind in ("series", "parallel", "conventional", "electric")},
 }

@@ -18,7 +18,7 @@ AT = 1e-6
 
 @dataclass(frozen=True)
 class Multipliers:
-    """By how much the goal falls per unit of excess that a limit is given, and per scaled unit of a bound; what does not balance."""
+    """By how much the goal falls per unit of excess that a limit is given, and per scaled unit of a bound; the slope that is left."""
 
     limits: Array
     low: Array
@@ -50,7 +50,6 @@ def multipliers_of(u: Array, slopes: Slopes, excess: Array, free: Mask) -> Multi
         # Columns of one length, so that least squares weighs all alike.
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         found = nnls(columns / size, wanted)[0] / size
-    rest = float(np.linalg.norm(columns @ found - wanted) / max(float(np.linalg.norm(wanted)), 1e-300)) if len(wanted) else 0.0
-    out = Multipliers(np.zeros(len(excess)), np.zeros(n), np.zeros(n), rest)
+    out = Multipliers(np.zeros(len(excess)), np.zeros(n), np.zeros(n), float(np.linalg.norm(columns @ found - wanted)))
     out.limits[near], out.low[low], out.high[high] = np.split(found, [len(near), len(near) + len(low)])
     return out
