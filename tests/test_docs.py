@@ -40,7 +40,17 @@ def anchor(heading):
     return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.strip().lower()))
 
 
-PROGRAMS = {"tutorial": 11, "cycles": 3, "compare": 3, "sweeps": 5, "uncertainty": 4, "autosize": 5, "tests": 5, "gradients": 2}
+PROGRAMS = {
+    "tutorial": 11,
+    "cycles": 3,
+    "compare": 3,
+    "sweeps": 5,
+    "uncertainty": 4,
+    "autosize": 5,
+    "calibration": 6,
+    "tests": 5,
+    "gradients": 2,
+}
 
 
 @pytest.mark.parametrize(("name", "least"), PROGRAMS.items())

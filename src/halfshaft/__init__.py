@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from halfshaft.models.vehicle import Vehicle, vehicle_names
     from halfshaft.studies.acceleration import accelerate
     from halfshaft.studies.batch import run_batch
+    from halfshaft.studies.calibration.calibrate import calibrate
+    from halfshaft.studies.calibration.record import Record
     from halfshaft.studies.compare import compare
     from halfshaft.studies.pictures import plot_sweep
     from halfshaft.studies.size import size
@@ -25,11 +27,13 @@ __all__ = [
     "Cycle",
     "HalfshaftError",
     "InputError",
+    "Record",
     "Result",
     "Vehicle",
     "__version__",
     "accelerate",
     "build_fmu",
+    "calibrate",
     "compare",
     "component_names",
     "cycle_names",
@@ -48,10 +52,12 @@ _HOMES = {
     "Cycle": "cosim.cycle",
     "HalfshaftError": "library.base.errors",
     "InputError": "library.base.errors",
+    "Record": "studies.calibration.record",
     "Result": "cosim.result",
     "Vehicle": "models.vehicle",
     "accelerate": "studies.acceleration",
     "build_fmu": "cosim.fmu",
+    "calibrate": "studies.calibration.calibrate",
     "compare": "studies.compare",
     "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",
