@@ -94,20 +94,20 @@ def prices(name: str, share: float) -> list[Price]:
 
 #: Where goal and limit are smooth near the optimum: vehicle, what varies, what is least, and the limit.
 SMOOTH = (
-    ("small-car-cvt", ("source", "25..120 kW"), "fuel", "0-60 mph <= 12 s"),
-    ("small-car-cvt", ("source", "25..120 kW"), "fuel", "40-60 mph <= 5.5 s"),
-    ("small-car-electric", ("drive", "20..150 kW"), "energy", "grade at 55 mph >= 12 %"),
-    ("small-car-electric", ("drive", "20..150 kW"), "energy", "0-60 mph <= 9.5 s"),
+    ("small-car-cvt", (("source", "25..120 kW"),), "fuel", "0-60 mph <= 12 s"),
+    ("small-car-cvt", (("source", "25..120 kW"),), "fuel", "40-60 mph <= 5.5 s"),
+    ("small-car-electric", (("drive", "20..150 kW"),), "energy", "grade at 55 mph >= 12 %"),
+    ("small-car-electric", (("store", "15..60"), ("drive", "20..150 kW")), "energy", "0-60 mph <= 9.5 s"),
 )
 
 
 @cache
-def smooth_price(vehicle: str, vary: tuple[str, str], goal: str, limit: str) -> Price:
+def smooth_price(vehicle: str, vary: tuple[tuple[str, str], ...], goal: str, limit: str) -> Price:
     """Return what the only limit of a car costs whose mass is not rounded, over 1 %."""
     car = Vehicle.load(vehicle)
     unrounded = replace(car, rules={target: rule.unrounded for target, rule in car.rules.items()})
     tasks = {"city": Drive(Cycle.load("udds"))}
-    found = size(Problem(vehicle=unrounded, vary=dict([vary]), minimise=goal, limits=(limit,), tasks=tasks), starts=1)
+    found = size(Problem(vehicle=unrounded, vary=dict(vary), minimise=goal, limits=(limit,), tasks=tasks), starts=1)
     return measured_prices(found, 0.01)[0]
 
 

@@ -22,7 +22,7 @@ def test_the_solver_is_no_worse_with_a_twentieth_of_the_evaluations(name: str) -
 
 
 @pytest.mark.parametrize("x", SMOOTH, ids=str)
-def test_a_multiplier_is_the_price_of_one_percent(x: tuple[str, tuple[str, str], str, str]) -> None:
+def test_a_multiplier_is_the_price_of_one_percent(x: tuple[str, tuple[tuple[str, str], ...], str, str]) -> None:
     # Of a curve, the slope in its middle is that of the chord.
     price = smooth_price(*x)
     assert (price.tighter + price.looser) / 2 == pytest.approx(price.multiplier, rel=0.05)
