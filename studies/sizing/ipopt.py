@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from halfshaft.cosim.compiled import Array
+from halfshaft.cosim.forward import Interrupts
 from halfshaft.studies.sizing.evaluator import Bench, Slopes
 
 #: Accuracy of the scaled conditions of an optimum, and with how much IPOPT is content after three such iterations.
@@ -32,12 +34,11 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Solved:
-    """Where IPOPT ended: the scaled point, its goal and largest excess, the multipliers of the limits, what it said, and its iterations."""
+    """Where IPOPT ended: the scaled point, its goal and largest excess, how it ended, and its iterations."""
 
     u: Array
     goal: float
     worst: float
-    multipliers: Array
     status: str
     iterates: tuple[Iterate, ...]
 
@@ -139,7 +140,8 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
     n, m, most = len(free), len(bench.problem.limits), bench.effort.cycles + cycles
     known: dict[bytes, Slopes] = {}
     iterates: list[Iterate] = []
-    interrupted: list[BaseException] = []
+    failed: list[Exception] = []
+    listening = Interrupts()
     ends: list[str] = []
 
     def whole(x: Array) -> Array:
@@ -150,13 +152,13 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
     def at(x: Array) -> Slopes:
         key = x.tobytes()
         if key not in known:
-            if interrupted or bench.effort.cycles >= most:
+            if listening.came or failed or bench.effort.cycles >= most:
                 return Slopes(np.nan, np.full(m, np.nan), np.full(n, np.nan), np.full((m, n), np.nan))
             try:
                 s = bench.slopes(whole(x))
-            # An interrupt, which CasADi would swallow, and what it cannot be told.
-            except BaseException as error:
-                interrupted.append(error)
+            # CasADi cannot be told of an error, and would go on.
+            except Exception as error:
+                failed.append(error)
                 return at(x)
             known[key] = Slopes(
                 s.goal, np.where(np.isfinite(s.excess), s.excess, np.nan), s.goal_gradient[free], s.excess_gradient[:, free]
@@ -164,14 +166,14 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
         return known[key]
 
     def note(x: Array, goal: float, excess: Array) -> bool:
-        iterates.append(Iterate(len(iterates), goal * scale, float(np.max(excess, initial=0.0)), whole(x)))
-        stopped = INTERRUPTED if interrupted else "evaluations used up" if bench.effort.cycles >= most else ""
+        iterates.append(Iterate(len(iterates), goal * scale, _worst(excess), whole(x)))
+        stopped = INTERRUPTED if listening.came else "evaluations used up" if bench.effort.cycles >= most else ""
         ends.append(stopped or ("settled" if _settled(iterates) else ""))
         return bool(ends[-1])
 
     first = at(start[free])
-    if interrupted:
-        raise interrupted[0]
+    if failed:
+        raise failed[0]
     scale = abs(first.goal) if np.isfinite(first.goal) and first.goal else 1.0
     model, watch, x = _Model(n, m, at), _Watch(n, m, note), ca.MX.sym("x", n)
     f, g = model(x)
@@ -186,10 +188,16 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
         "print_time": False, "iteration_callback": watch, "error_on_fail": False, "show_eval_warnings": False,
     }  # fmt: skip
     solver = ca.nlpsol("solver", "ipopt", problem, options)
-    found = solver(x0=start[free], lbx=0.0, ubx=1.0, lbg=-np.inf, ubg=0.0)
-    if interrupted and not (isinstance(interrupted[0], KeyboardInterrupt) and iterates):
-        raise interrupted[0]
-    status = INTERRUPTED if interrupted else ends[-1] or str(solver.stats()["return_status"]).replace("_", " ").lower()
+    with suppress(KeyboardInterrupt), listening.listened_to():
+        solver(x0=start[free], lbx=0.0, ubx=1.0, lbg=-np.inf, ubg=0.0)
+    if failed:
+        raise failed[0]
+    said = str(solver.stats()["return_status"]).replace("_", " ").lower()
+    status = INTERRUPTED if listening.came else (ends[-1] if ends else "") or said
     # Where it did not end by itself, its best iterate is worth more than its last.
-    best = min(iterates, key=lambda i: (max(i.worst, MET), i.goal))
-    return Solved(best.u, best.goal, best.worst, np.array(found["lam_g"]).ravel() * scale, status, tuple(iterates))
+    best = min(iterates or [Iterate(0, first.goal, _worst(first.excess), start)], key=lambda i: (max(i.worst, MET), i.goal))
+    return Solved(best.u, best.goal, best.worst, status, tuple(iterates))
+
+
+def _worst(excess: Array) -> float:
+    return float(max(np.max(np.where(np.isnan(excess), np.inf, excess), initial=0.0), 0.0))

@@ -30,9 +30,9 @@ HOPELESS = 5e-3
 def program(slopes: Slopes, excess: Array, box: tuple[Array, Array], free: Mask) -> Array:
     """Return the step, within the box, that is best by linear goal and limits; if none meets all limits, the one that misses them least."""
     n, m = int(free.sum()), len(excess)
-    scale = abs(slopes.goal) or 1.0
+    scale = abs(slopes.goal) if slopes.goal and np.isfinite(slopes.goal) else 1.0
     rows = np.nan_to_num(slopes.excess_gradient[:, free])
-    cost = np.append(slopes.goal_gradient[free] / scale, np.full(m, ELASTIC))
+    cost = np.append(np.nan_to_num(slopes.goal_gradient[free]) / scale, np.full(m, ELASTIC))
     bounds = [*zip(box[0][free], box[1][free], strict=True), *[(0.0, None)] * m]
     found = linprog(cost, A_ub=np.hstack([rows, -np.eye(m)]) if m else None, b_ub=-excess - INSIDE if m else None, bounds=bounds)
     step = np.zeros(len(free))
@@ -52,7 +52,7 @@ def descend(bench: Bench, start: Tried, slopes: Slopes | None = None, *, first: 
         excess = np.where(np.isfinite(best.excess), best.excess, 1.0)
         box = (np.maximum(-half, -u), np.minimum(half, 1 - u))
         step = program(slopes, excess, box, free)
-        gain = -float(slopes.goal_gradient @ step) / (abs(best.goal) or 1.0)
+        gain = -float(np.nan_to_num(slopes.goal_gradient) @ step) / (abs(best.goal) or 1.0)
         if best.holds and gain < GAIN:
             break
         proposal = _corrected(bench, u, step, slopes, box, free)
@@ -62,6 +62,14 @@ def descend(bench: Bench, start: Tried, slopes: Slopes | None = None, *, first: 
         else:
             half *= SHRINKING
     return best
+
+
+def mend(bench: Bench, u: Array) -> Tried:
+    """Return a vehicle near a point that meets the limits that drive no cycle, if one step of a program leads there."""
+    slopes, free = bench.slopes(u), (bench.span > 0) & ~bench.whole
+    box = (np.maximum(-FIRST, -u), np.minimum(FIRST, 1 - u))
+    proposal = _corrected(bench, u, program(slopes, bench.at(u, goal=False).excess, box, free), slopes, box, free) if free.any() else u
+    return bench.at(u if proposal is None else proposal)
 
 
 def _better(a: Tried, b: Tried) -> bool:

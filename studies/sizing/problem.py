@@ -232,6 +232,8 @@ class _Binder:
         self.wrong = self.reader.problems
         self.tasks: dict[str, Task] = {}
         self.pairs: dict[str, list[tuple[float, float]]] = {}
+        #: Figures that tasks did not find.
+        self.empty: set[str] = set()
 
     def bound(self) -> Bound:
         """Return the problem, or raise one error with all that is wrong."""
@@ -371,13 +373,15 @@ class _Binder:
         return left, ref, sense, match[3]
 
     def known(self, vehicle: Vehicle) -> dict[str, set[str]]:
-        """Return the figures that each task finds, of which the vehicle has something; a test of full effort need not reach its own."""
+        """Return the figures that each task finds; a test of full effort need not reach its own."""
         from halfshaft.studies.sizing.probes import numbers
 
         known = {OWN: set(numbers(vehicle))}
         for key, task in self.problem.tasks.items():
             try:
-                known[key] = {name for name, x in task(vehicle).figures.items() if x is not None}
+                figures = task(vehicle).figures
+                known[key] = {name for name, x in figures.items() if x is not None}
+                self.empty |= figures.keys() - known[key]
             except InputError as e:
                 self.wrong += [f"tasks.{key}: {p}" for p in e.problems]
         for key, task in self.tasks.items():
@@ -456,6 +460,8 @@ class _Binder:
                 return Ref(having[0], figure)
         if own in WORDS:
             self.wrong.append(f"{where}: vehicle '{vehicle.name}' has no {own}, or no task finds it")
+        elif own in self.empty:
+            self.wrong.append(f"{where}: vehicle '{vehicle.name}' has no {own}, or none with its own sizes")
         else:
             figures = [f for key in self.problem.tasks for f in known.get(key, ())]
             every = [*known[OWN], *WORDS, *figures, *(f"{key}.{f}" for key in self.problem.tasks for f in known.get(key, ()))]

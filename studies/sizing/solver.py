@@ -11,7 +11,7 @@ from scipy.stats import qmc
 from halfshaft.cosim.compiled import Array
 from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Mask, Tried
 from halfshaft.studies.sizing.ipopt import INTERRUPTED, Solved, solve
-from halfshaft.studies.sizing.local import around, descend, search
+from halfshaft.studies.sizing.local import around, descend, mend, search
 
 #: Vehicles of a scan for each variable; it drives no cycle.
 SCAN = 16
@@ -133,25 +133,44 @@ def starts_from_scan(bench: Bench, *, starts: int, seed: int) -> list[Array]:
 
 
 def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) -> None:
-    """Try vehicles until the best is found; what came of it is in the record of the bench, and each run of IPOPT is noted."""
+    """Try vehicles until the best is found; what came of it is in the record of the bench, and each run of IPOPT is noted.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If it was interrupted; the record has then what holds near to where IPOPT came.
+
+    """
+    if not (bench.span > 0).any():
+        for point in points:
+            bench.at(point)
+        return
     ends: list[Solved] = []
-    for point in points:
-        bench.stage = "ipopt"
-        solved = solve(bench, point, iterations=ITERATIONS, cycles=CYCLES)
-        note(solved)
-        ends.append(solved)
-        if solved.status == INTERRUPTED:
-            # As it would be built: something that holds is perhaps among these.
-            for built in around(bench, solved.u):
-                bench.at(built)
-            raise KeyboardInterrupt
+    try:
+        for point in points:
+            bench.stage = "ipopt"
+            ends.append(solve(bench, point, iterations=ITERATIONS, cycles=CYCLES))
+            note(ends[-1])
+            if ends[-1].status == INTERRUPTED:
+                raise KeyboardInterrupt
+        done: list[Array] = []
+        for solved in _promising(ends):
+            if all(np.linalg.norm(solved.u - u) >= APART for u in done):
+                bench.stage = "exact"
+                bench.rebase(bench.rounded(solved.u))
+                search(bench, solved.u)
+                done.append(solved.u)
+    except KeyboardInterrupt:
+        if bench.stage == "ipopt":
+            for solved in _promising(ends)[:1]:
+                bench.stage = "exact"
+                for built in around(bench, solved.u):
+                    mend(bench, built)
+        raise
+
+
+def _promising(ends: list[Solved]) -> list[Solved]:
+    """Return the ends that the exact step can perhaps mend and that are hardly worse than the best, the best first."""
     good = [s for s in ends if s.worst < MENDED and np.isfinite(s.goal)] or ends
     least = min((s.goal for s in good), default=0.0)
-    done: list[Array] = []
-    for solved in sorted(good, key=lambda s: s.goal):
-        if solved.goal > least + WORSE * abs(least) or any(np.linalg.norm(solved.u - u) < APART for u in done):
-            continue
-        bench.stage = "exact"
-        bench.rebase(bench.rounded(solved.u))
-        search(bench, solved.u)
-        done.append(solved.u)
+    return sorted((s for s in good if not s.goal > least + WORSE * abs(least)), key=lambda s: s.goal)
