@@ -15,34 +15,26 @@ found it, the answer is run again by the tasks themselves, and said to hold or n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
+from typing import NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
 from halfshaft.cosim.gradient import value_of
 from halfshaft.library.base.errors import InputError, number
-from halfshaft.library.files.notebook import Grid, card
-from halfshaft.models.vehicle import Vehicle
-from halfshaft.studies.sizing.evaluator import Bench, Effort, Tried
+from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Effort, Tried
 from halfshaft.studies.sizing.evolution import evolve
 from halfshaft.studies.sizing.ipopt import Solved
 from halfshaft.studies.sizing.multipliers import Multipliers, multipliers_of
-from halfshaft.studies.sizing.problem import Bound, Limit, Problem, Variable
+from halfshaft.studies.sizing.optimum import LimitFound, Method, Optimum, Status, VariableFound
+from halfshaft.studies.sizing.problem import Bound, Problem
 from halfshaft.studies.sizing.problem_file import read_problem
 from halfshaft.studies.sizing.solver import minimise, starts_from_scan
 
-if TYPE_CHECKING:
-    from halfshaft.cosim.plot import Picture
-
-Method: TypeAlias = Literal["ipopt", "evolution"]
 Note: TypeAlias = Callable[[Solved], None]
 METHODS: tuple[Method, ...] = get_args(Method)
-#: Every limit holds; no vehicle within the bounds meets all; the best so far, which holds or not.
-Status: TypeAlias = Literal["holds", "infeasible", "interrupted"]
 #: Starts of IPOPT, and evaluations of differential evolution.
 STARTS, EVALUATIONS = 3, 5000
 MOST_STARTS, MOST_EVALUATIONS = 100, 1_000_000
@@ -52,148 +44,6 @@ GAIN, STRAY = 5e-4, 0.01
 NOTHING = 1e-6
 
 
-@dataclass(frozen=True)
-class LimitFound:
-    """A limit: its values before and after [SI, or the figure's unit], and by how much the goal rises per unit that it gets tighter."""
-
-    limit: Limit
-    before: float
-    after: float
-    holds: bool
-    price: float
-
-    @property
-    def said(self) -> str:
-        """What the limit costs, in the user's units; empty where it does not bind."""
-        if not self.price > 0:
-            return ""
-        return f"{self.price * self.limit.factor:.3g} per {self.limit.unit or 'unit'}"
-
-
-@dataclass(frozen=True)
-class VariableFound:
-    """A variable: its values before and after [SI], the bound that it is at, and the goal's slope there per unit of the user."""
-
-    variable: Variable
-    before: float
-    after: float
-    at: Literal["", "lower bound", "upper bound"]
-    slope: float
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """The best vehicle that was found.
-
-    Parameters
-    ----------
-    problem, bound
-        What was asked for, and with which parts.
-    vehicle
-        The vehicle, to run, save and change as any other.
-    status
-        ``holds``, ``infeasible`` or ``interrupted``.
-    holds
-        Whether every limit holds on the exact step, by the tasks themselves.
-    goal, goal_before
-        What was to be least, after and before.
-    variables, limits
-        What was found for each.
-    tried
-        Every vehicle that was tried as it would be built, in order.
-    runs
-        The runs of IPOPT, each with its iterations.
-    effort
-        How much was evaluated.
-    sensitivities
-        By how much the optimum's goal rises where another number of the vehicle is 1 % larger, sizes following.
-    notes
-        What a user should know.
-
-    """
-
-    problem: Problem
-    bound: Bound = field(repr=False)
-    method: Method
-    vehicle: Vehicle
-    status: Status
-    holds: bool
-    goal: float
-    goal_before: float
-    variables: tuple[VariableFound, ...] = field(repr=False)
-    limits: tuple[LimitFound, ...] = field(repr=False)
-    tried: tuple[Tried, ...] = field(repr=False)
-    runs: tuple[Solved, ...] = field(repr=False)
-    effort: Effort
-    sensitivities: Mapping[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def values(self) -> dict[str, float]:
-        """The values of the variables [SI]."""
-        return {v.variable.name: v.after for v in self.variables}
-
-    @property
-    def binding(self) -> dict[str, float]:
-        """What each limit that binds costs: by how much the goal rises per unit of the limit, as the user has it, that it gets tighter."""
-        return {f.limit.title: f.price * f.limit.factor for f in self.limits if f.price > 0}
-
-    @cached_property
-    def figures(self) -> dict[str, float | None]:
-        """Goal, variables and limits by name."""
-        found = {"holds": float(self.holds), "goal": self.goal, **self.values}
-        return found | {f.limit.title: f.after if math.isfinite(f.after) else None for f in self.limits}
-
-    def plot(self, path: str | Path | None = None) -> Picture:
-        """Draw how it went; with a path into a PNG, SVG or PDF file."""
-        from halfshaft.studies.sizing.picture import plot_optimum  # matplotlib takes a quarter of a second
-
-        return plot_optimum(self, path=path)
-
-    def report(self, path: str | Path) -> Path:
-        """Write a page of HTML with tables and picture."""
-        from halfshaft.studies.sizing.report import write_report
-
-        return write_report(self, path)
-
-    def variable_rows(self) -> list[tuple[str, ...]]:
-        """Return name, bounds, before, after and what holds it, of each variable and of the mass, as texts."""
-        rows = [
-            (v.variable.name, f"{v.variable.shown(v.variable.low)} to {v.variable.shown(v.variable.high)}", v.variable.shown(v.before),
-             v.variable.shown(v.after), v.at)
-            for v in self.variables
-        ]  # fmt: skip
-        rows += [(role, f"{len(self.problem.choices[role])} parts", self.problem.vehicle.parts[role].name, name, "")
-                 for role, name in self.bound.parts.items()]  # fmt: skip
-        return [*rows, ("mass", "", f"{self.problem.vehicle.mass:.0f} kg", f"{self.vehicle.mass:.0f} kg", "")]
-
-    def limit_rows(self) -> list[tuple[str, ...]]:
-        """Return title, target, before, after, what it costs, and whether it holds, of each limit, as texts."""
-        return [
-            (f.limit.title, f.limit.wanted, f.limit.shown(f.before), f.limit.shown(f.after), f.said, "holds" if f.holds else "missed")
-            for f in self.limits
-        ]
-
-    def sensitivity_rows(self) -> list[tuple[str, str, str]]:
-        """Return number, its value, and what 1 % more of it does to the goal, as texts."""
-        specs = {**self.vehicle.specs, **{name: rated.spec for name, rated in self.vehicle.rated.items()}}
-        return [(name, specs[name].shown(value_of(self.vehicle, name)), f"{x:+.3g}") for name, x in self.sensitivities.items()]
-
-    def goal_row(self) -> tuple[str, ...]:
-        """Return the goal with its value before and after, as texts."""
-        return (self.problem.minimise, self.bound.goal_unit, f"{self.goal_before:.5g}", f"{self.goal:.5g}")
-
-    def _repr_html_(self) -> str:
-        facts = {"status": self.status, "method": self.method, "notes": "; ".join(self.notes)}
-        return card(
-            self.problem.name, self.problem.title, facts,
-            Grid(("goal", "unit", "before", "after"), [self.goal_row()]),
-            Grid(("variable", "bounds", "before", "after", ""), self.variable_rows()),
-            Grid(("limit", "target", "before", "after", "costs", ""), self.limit_rows()),
-            *([Grid(("number", "value", "1 % more of it"), self.sensitivity_rows())] if self.sensitivities else []),
-        )  # fmt: skip
-
-
 def size(
     problem: Problem | str | Path,
     *,
@@ -201,7 +51,6 @@ def size(
     starts: int = STARTS,
     evaluations: int = EVALUATIONS,
     seed: int = 0,
-    moved: Mapping[int, float] | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Optimum:
     """Find the vehicle with the least of what a problem names, within its limits.
@@ -220,8 +69,6 @@ def size(
         How many vehicles differential evolution may try.
     seed
         The same one draws the same points.
-    moved
-        Other targets of limits [SI, or the figure's unit], by their place.
     progress
         Is told what is being done.
 
@@ -245,25 +92,24 @@ def size(
     each = problem.combinations()
     for parts, bound in zip(each, [problem.bound(parts) for parts in each], strict=True):
         progress(", ".join([problem.name, *parts.values()]))
-
-        def look(bench: Bench, note: Note) -> None:
-            if method == "evolution":
-                evolve(bench, evaluations=evaluations, seed=seed)
-            else:
-                minimise(bench, starts_from_scan(bench, starts=starts, seed=seed), note)
-
-        for place, target in (moved or {}).items():
-            bound = bound.moved(place, target)
-        found.append(_sized(bound, method, look))
+        if method == "evolution":
+            found.append(_sized(bound, method, lambda bench, _: evolve(bench, evaluations=evaluations, seed=seed)))
+        else:
+            found.append(sized(bound, starts=starts, seed=seed))
         if found[-1].status == "interrupted":
             break
-    best = min(found, key=lambda o: (not o.holds, o.goal if o.holds else _missed(o)))
+    best = min(found, key=lambda o: (not o.holds, o.goal if o.holds else o.tried[-1].worst))
     if len(found) == 1:
         return best
     others = [f"{', '.join(o.bound.parts.values())}: {f'{o.goal:.5g}' if o.holds else o.status}" for o in found]
     total = Effort(*(sum(x) for x in zip(*((o.effort.cycles, o.effort.slopes, o.effort.limits) for o in found), strict=True)))
     status = found[-1].status if found[-1].status == "interrupted" else best.status
     return replace(best, status=status, effort=total, notes=(*best.notes, f"the goal by parts: {'; '.join(others)}"))
+
+
+def sized(bound: Bound, *, starts: int = STARTS, seed: int = 0) -> Optimum:
+    """Return the best vehicle with some parts, found by IPOPT from several starts."""
+    return _sized(bound, "ipopt", lambda bench, note: minimise(bench, starts_from_scan(bench, starts=starts, seed=seed), note))
 
 
 def resized(optimum: Optimum, limit: int, target: float, *, whole: bool = False) -> Optimum:
@@ -313,22 +159,17 @@ def measured_prices(optimum: Optimum, share: float = 0.01) -> list[Price]:
     return found
 
 
-def _missed(optimum: Optimum) -> float:
-    return sum(min(max(f.limit.sign * (f.after - f.limit.target) / f.limit.scale, 0.0), 10.0) if math.isfinite(f.after) else 10.0
-               for f in optimum.limits)  # fmt: skip
-
-
 def _sized(bound: Bound, method: Method, look: Callable[[Bench, Note], None]) -> Optimum:
     """Return the best vehicle that is found by looking."""
     bench, runs, interrupted = Bench(bound, stage="start"), list[Solved](), False
+    before = bench.at_own()
     try:
-        bench.at(bench.start)
         look(bench, runs.append)
     except KeyboardInterrupt:
         if not bench.tried:
             raise
         interrupted = True
-    return _answer(bench, method, runs, bench.tried[0], interrupted=interrupted)
+    return _answer(bench, method, runs, before, interrupted=interrupted)
 
 
 def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, interrupted: bool) -> Optimum:
@@ -364,7 +205,11 @@ def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, 
     prices = np.zeros(len(bound.limits)) if multipliers is None else multipliers.limits
     limits = tuple(
         LimitFound(
-            limit, float(old), float(new), bool(excess <= 1e-9), float(price / limit.scale) if price > NOTHING * abs(again.goal) else 0.0
+            limit,
+            float(old),
+            float(new),
+            bool(excess <= ROUNDING),
+            float(price / limit.scale) if price > NOTHING * abs(again.goal) else 0.0,
         )
         for limit, old, new, excess, price in zip(bound.limits, before.values, again.values, again.excess, prices, strict=True)
     )
@@ -372,7 +217,7 @@ def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, 
         VariableFound(
             v, float(old), float(new), "lower bound" if new <= v.low else "upper bound" if new >= v.high else "", float(s * v.factor)
         )
-        for v, old, new, s in zip(bound.variables, _own(bench), again.x, slope, strict=True)
+        for v, old, new, s in zip(bound.variables, before.x, again.x, slope, strict=True)
     )
     if status == "infeasible":
         notes += _unmet(bench)
@@ -389,12 +234,6 @@ def _answer(bench: Bench, method: Method, runs: list[Solved], before: Tried, *, 
     )  # fmt: skip
 
 
-def _own(bench: Bench) -> list[float]:
-    """Return the values of the vehicle itself."""
-    values = bench.problem.vehicle.values
-    return [values[name] / share for v in bench.problem.variables for name, share in list(v.shares.items())[:1]]
-
-
 def _unmet(bench: Bench) -> list[str]:
     """Return which limits cannot be met: alone, or not with the others."""
     found = np.array([t.values for t in (*bench.tried, *bench.looked)]).reshape(-1, len(bench.problem.limits))
@@ -403,42 +242,10 @@ def _unmet(bench: Bench) -> list[str]:
     for i, limit in enumerate(bench.problem.limits):
         reached = found[:, i][np.isfinite(found[:, i])]
         best = limit.sign * np.min(limit.sign * reached) if len(reached) else np.nan
-        if not len(reached) or limit.sign * (best - limit.target) > 1e-9 * limit.scale:
+        if not len(reached) or limit.sign * (best - limit.target) > ROUNDING * limit.scale:
             said.append(f"{limit.title} {limit.wanted} cannot be met within the bounds: at best {limit.shown(float(best))}")
     if not said:
         missed = [f"{limit.title} {limit.wanted} ({limit.shown(float(x))})" for limit, x, e in
-                  zip(bench.problem.limits, nearest.values, nearest.excess, strict=True) if e > 1e-9]  # fmt: skip
+                  zip(bench.problem.limits, nearest.values, nearest.excess, strict=True) if e > ROUNDING]  # fmt: skip
         said.append(f"the limits cannot be met together: the nearest vehicle misses {' and '.join(missed) or 'a goal that is a number'}")
     return said
-
-
-def results(optimum: Optimum) -> Mapping[str, object]:
-    """Return an optimum as plain data, for JSON."""
-    return {
-        "problem": optimum.problem.name,
-        "vehicle": optimum.problem.vehicle.name,
-        "method": optimum.method,
-        "status": optimum.status,
-        "holds": optimum.holds,
-        "parts": optimum.bound.parts,
-        "goal": {
-            "expression": optimum.problem.minimise, "unit": optimum.bound.goal_unit, "before": optimum.goal_before, "after": optimum.goal,
-        },
-        "variables": {
-            v.variable.name: {
-                "before": v.before, "after": v.after, "low": v.variable.low, "high": v.variable.high, "at": v.at, "slope": v.slope,
-            }
-            for v in optimum.variables
-        },
-        "mass_kg": {"before": optimum.problem.vehicle.mass, "after": optimum.vehicle.mass},
-        "limits": [
-            {
-                "limit": f.limit.title, "sense": f.limit.sense, "target": f.limit.target / f.limit.factor, "unit": f.limit.unit,
-                "before": f.before / f.limit.factor, "after": f.after / f.limit.factor, "holds": f.holds, "price": f.price * f.limit.factor,
-            }
-            for f in optimum.limits
-        ],
-        "sensitivities": optimum.sensitivities,
-        "evaluations": {"cycles": optimum.effort.cycles, "of_these_with_gradient": optimum.effort.slopes, "limits": optimum.effort.limits},
-        "notes": optimum.notes,
-    }  # fmt: skip

@@ -9,14 +9,12 @@ import math
 from dataclasses import dataclass, replace
 from functools import cache
 
-import numpy as np
-
-from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.autosize import Autosize
-from halfshaft.studies.size import EVALUATIONS, Optimum, Price, measured_prices, size
+from halfshaft.studies.size import EVALUATIONS, Price, measured_prices, size
 from halfshaft.studies.sizing.evaluator import Bench, Tried
+from halfshaft.studies.sizing.optimum import Optimum
 from halfshaft.studies.sizing.problem import Problem
 from halfshaft.studies.sizing.problem_file import read_problem
 from halfshaft.studies.task import Drive
@@ -52,13 +50,9 @@ def case(name: str, seed: int = 0) -> Case:
     problem = read_problem(name)
     found = GOALS(problem.vehicle).vehicle
     bound = problem.bound()
-    bench = Bench(bound)
-    u = bench.rounded(bench.scaled(_sizes(bench, found.values)))
-    return Case(name, bench.at(u), size(problem, method="evolution", seed=seed), size(problem, seed=seed))
-
-
-def _sizes(bench: Bench, values: dict[str, float]) -> Array:
-    return np.array([values[n] / share for v in bench.problem.variables for n, share in list(v.shares.items())[:1]])
+    # Seen from its own problem, a vehicle stands where its sizes are.
+    bench = Bench(replace(bound, vehicle=found))
+    return Case(name, bench.at(bench.start), size(problem, method="evolution", seed=seed), size(problem, seed=seed))
 
 
 def table(cases: list[Case]) -> str:

@@ -14,7 +14,8 @@ from halfshaft.app.output import busy, console, new_table, print_json, print_lin
 from halfshaft.app.program import app
 
 if TYPE_CHECKING:
-    from halfshaft.studies.size import Optimum, Price
+    from halfshaft.studies.size import Price
+    from halfshaft.studies.sizing.optimum import Optimum
     from halfshaft.studies.sizing.problem import Problem
 
 #: Of a front.
@@ -61,7 +62,7 @@ def _size(
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page of HTML.")] = None,
     as_json: Json = False,
 ) -> None:
-    from halfshaft.studies.size import measured_prices, results, size
+    from halfshaft.studies.size import measured_prices, size
     from halfshaft.studies.sizing.problem_file import read_problem
 
     checks = Checks()
@@ -89,7 +90,7 @@ def _size(
     if report is not None:
         optimum.report(report)
     if as_json:
-        print_json({**results(optimum), **({"prices": [price._asdict() for price in prices]} if check else {})})
+        print_json({**optimum.plain(), **({"prices": [price._asdict() for price in prices]} if check else {})})
         return
     _print(optimum)
     if prices:
@@ -152,7 +153,6 @@ def _front(text: str, checks: Checks) -> tuple[str, list[float]] | None:
 
 def _print_front(problem: Problem, limit: str, targets: list[float], plot: Path | None, *, seed: int, as_json: bool) -> None:
     """Size for all targets, and print the front."""
-    from halfshaft.studies.size import results
     from halfshaft.studies.sizing.pareto import pareto
 
     with busy(f"size: {problem.name}") as tell:
@@ -160,7 +160,7 @@ def _print_front(problem: Problem, limit: str, targets: list[float], plot: Path 
     if plot is not None:
         front.plot(plot)
     if as_json:
-        print_json({"limit": limit, "unit": front.limit.unit, "front": [results(o) for o in front.found]})
+        print_json({"limit": limit, "unit": front.limit.unit, "front": [o.plain() for o in front.found]})
         return
     first = front.found[0]
     table = new_table()

@@ -108,11 +108,15 @@ class Bench:
         return {OWN: probe_of(None)} | {key: probe_of(task) for key, task in self.problem.tasks.items()}
 
     @cached_property
+    def own(self) -> Array:
+        """The values of the vehicle itself [SI]."""
+        firsts = (next(iter(v.shares.items())) for v in self.problem.variables)
+        return np.array([self.problem.vehicle.values[name] / share for name, share in firsts])
+
+    @property
     def start(self) -> Array:
         """Where the vehicle itself is, or the nearest point between the bounds."""
-        values = self.problem.vehicle.values
-        x = [values[name] / share for v in self.problem.variables for name, share in list(v.shares.items())[:1]]
-        return self.scaled(np.array(x))
+        return self.scaled(self.own)
 
     def scaled(self, x: Array) -> Array:
         """Return a point of values, within the bounds."""
@@ -154,6 +158,14 @@ class Bench:
             car = self.vehicle(u)
             figures = {key: self.probes[key].at(car) for key in self._wanted(goal=goal)}
         return self._noted(u, figures, goal=goal)
+
+    def at_own(self) -> Tried:
+        """Try the vehicle itself; outside of the bounds it is none that could be chosen."""
+        inside = self.own.clip(self.low, self.low + self.span)
+        tried = self.at((self.own - self.low) / np.where(self.span > 0, self.span, 1.0)) if (self.span > 0).all() else self.at(self.start)
+        if not np.array_equal(inside, self.own):
+            self.looked.append(self.tried.pop())
+        return tried
 
     def _noted(self, u: Array, figures: Mapping[str, Mapping[str, float]], *, goal: bool, exact: bool = True) -> Tried:
         def value(term: Term) -> float:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from halfshaft.library.base.errors import InputError, nearest
-from halfshaft.studies.size import Optimum, resized, size
+from halfshaft.studies.size import resized, sized
+from halfshaft.studies.sizing.optimum import Optimum
 from halfshaft.studies.sizing.problem import Limit, Problem
 from halfshaft.studies.sizing.problem_file import read_problem
 
@@ -89,8 +90,7 @@ def pareto(
     found: list[Optimum] = []
     for target in ordered:
         progress(f"{limit} {target / asked.factor:.4g} {asked.unit}")
-        # The first from all over the bounds, with the target that the front begins at.
-        found.append(resized(found[-1], place, target) if found else size(problem, moved={place: target}, seed=seed))
+        found.append(resized(found[-1], place, target) if found else sized(bound.moved(place, target), seed=seed))
         if found[-1].status != "holds":
             break
     return Front(asked, tuple(ordered[: len(found)]), tuple(found))

@@ -17,7 +17,7 @@ from halfshaft.library.files.writing import written_whole
 from halfshaft.studies.sizing.evaluator import ROUNDING
 
 if TYPE_CHECKING:
-    from halfshaft.studies.size import Optimum
+    from halfshaft.studies.sizing.optimum import Optimum
     from halfshaft.studies.sizing.pareto import Front
 
 #: Width of a picture, and room left and right of the axes [in].

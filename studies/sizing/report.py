@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from halfshaft.library.files.writing import written_whole
 
 if TYPE_CHECKING:
-    from halfshaft.studies.size import Optimum
+    from halfshaft.studies.sizing.optimum import Optimum
 
 _STYLE = (
     "body{font:15px/1.45 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}"
