@@ -33,6 +33,8 @@ from halfshaft.studies.autosize import Autosize
 from halfshaft.studies.calibration.coast_down import CoastDown, coast_down
 from halfshaft.studies.calibration.record import Series
 from halfshaft.studies.calibration.roll_out import rolled
+from halfshaft.studies.size import size
+from halfshaft.studies.sizing.pareto import pareto
 from halfshaft.studies.task import Drive
 
 PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
@@ -90,9 +92,21 @@ def best() -> tuple[Figure, str]:
     return found.plot(), "A parallel hybrid: power split, gears, charge and fuel of the best way and of the control in use"
 
 
+def optimum(name: str) -> tuple[Figure, str]:
+    """Return how a problem of the library was solved."""
+    return size(name).plot(), f"Goal, limits and sizes of the problem {name}, vehicle by vehicle"
+
+
+def front() -> tuple[Figure, str]:
+    """Return the front of the page on sizing."""
+    return pareto("electric", "0-85 mph", range(16, 25)).plot(), "Least energy of the electric car, and its sizes, over the time to 85 mph"
+
+
 PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
     "one-run": one_run,
     "overlaid": overlaid,
+    "optimum-parallel": partial(optimum, "parallel"),
+    "front-electric": front,
     "calibrated": calibrated,
     "coast-down": coasted,
     "uncertain": uncertain,

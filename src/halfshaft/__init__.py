@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from halfshaft.studies.compare import compare
     from halfshaft.studies.optimal import optimal
     from halfshaft.studies.pictures import plot_sweep
+    from halfshaft.studies.size import size
     from halfshaft.studies.sweep import sweep
     from halfshaft.studies.uncertainty import uncertainty
 
@@ -42,6 +43,7 @@ __all__ = [
     "plot_sweep",
     "run",
     "run_batch",
+    "size",
     "sweep",
     "uncertainty",
     "vehicle_names",
@@ -66,6 +68,7 @@ _HOMES = {
     "plot_sweep": "studies.pictures",
     "run": "cosim.simulate",
     "run_batch": "studies.batch",
+    "size": "studies.size",
     "sweep": "studies.sweep",
     "uncertainty": "studies.uncertainty",
     "vehicle_names": "models.vehicle",

@@ -1,0 +1,1 @@
+"""Sizing: the sizes, ratios and thresholds with which a goal is least while every limit holds."""

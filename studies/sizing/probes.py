@@ -1,0 +1,390 @@
+"""How figures of tasks are found: at one vehicle, at many, and their gradients.
+
+Any task can be asked.  Those that have a short cut are a cycle, with or without the linear correction of the charge, and full
+acceleration: many at once by the batch engine, and gradients from the tangents of a run.  All others are asked vehicle by vehicle,
+and their gradients are central differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from halfshaft.cosim.compiled import Array
+from halfshaft.cosim.cycle import acceleration_cycle
+from halfshaft.cosim.gradient import figure_gradient, slopes
+from halfshaft.cosim.simulate import run, stepper_of
+from halfshaft.library.base.errors import HalfshaftError, InputError
+from halfshaft.library.base.tags import part_of
+from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import (
+    DT,
+    DURATIONS,
+    IN_MPS,
+    NAMES,
+    REQUEST,
+    STEADIEST,
+    STEADY,
+    T_START,
+    AccelerationTest,
+    TopSpeedTest,
+    shifting,
+)
+from halfshaft.studies.batch import run_batch
+from halfshaft.studies.conditions import charge_at, window
+from halfshaft.studies.gradeability import GradeabilityTest
+from halfshaft.studies.sizes import KINDS, TAGS, amount
+from halfshaft.studies.soc_correction import AROUND, OUTSIDE, Linear, first_charge
+from halfshaft.studies.task import Drive, Task
+
+#: Figures by name, NaN where there is none.
+Figures: TypeAlias = dict[str, float]
+FUEL = "fuel_economy_L_per_100km"
+#: Step of a central difference, over the number or 1.
+STEP = 2e-3
+
+
+class Sloped(NamedTuple):
+    """Figures, their gradients over numbers of the vehicle, and how many vehicles were tried for these."""
+
+    values: Figures
+    gradients: dict[str, Array]
+    cost: int
+
+
+def numbers(vehicle: Vehicle) -> dict[str, Any]:
+    """Return the vehicle's own numbers: parameters, ratings, sizes and mass."""
+    rated = {name: r.of(vehicle.parameters[part_of(name)]) for name, r in vehicle.rated.items()}
+    sizes: dict[str, Any] = {str(kind): amount(vehicle, kind) for kind in KINDS if vehicle.tags.all_of(TAGS[kind])}
+    return {**vehicle.values, **rated, **sizes, "mass": vehicle.values[vehicle.tags.the("vehicle mass")]}
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Any task."""
+
+    task: Task
+
+    @property
+    def drives(self) -> bool:
+        """Whether it drives a cycle, so that it counts as an evaluation of one."""
+        return not isinstance(self.task, AccelerationTest | TopSpeedTest | GradeabilityTest)
+
+    def at(self, vehicle: Vehicle) -> Figures:
+        """Return the figures of a vehicle."""
+        return {name: np.nan if x is None else float(x) for name, x in self.task(vehicle).figures.items()}
+
+    def many(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array]:
+        """Return figures of many vehicles, whose numbers are the columns'; NaN where one cannot be built."""
+        with suppress(InputError):
+            # A batch stands or falls as a whole: where a vehicle cannot be built, each is asked by itself.
+            if not touched(vehicle, columns) and (found := self.batch(vehicle, columns, wanted)):
+                return found
+        found = {figure: np.full(_runs(columns), np.nan) for figure in wanted}
+        for i in range(_runs(columns)):
+            with suppress(HalfshaftError):
+                figures = self.at(vehicle.with_values({name: float(x[i]) for name, x in columns.items()}))
+                for figure in wanted:
+                    found[figure][i] = figures.get(figure, np.nan)
+        return found
+
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
+        return None
+
+    def slopes(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped:
+        """Return figures with their gradients over numbers of the vehicle."""
+        if sloped := self.tangents(vehicle, names, wanted):
+            return sloped
+        steps = np.array([STEP * (abs(vehicle.values[name]) or 1.0) for name in names])
+        columns = {name: np.full(2 * len(names) + 1, vehicle.values[name]) for name in names}
+        for i, (name, h) in enumerate(zip(names, steps, strict=True)):
+            columns[name][2 * i + 1 : 2 * i + 3] += h, -h
+        found, gradients = self.many(vehicle, columns, wanted), {}
+        for figure, x in found.items():
+            up, down = x[1::2], x[2::2]
+            # At a bound there is one side only.
+            both, one = (up - down) / (2 * steps), np.where(np.isnan(up), x[0] - down, up - x[0]) / steps
+            gradients[figure] = np.where(np.isnan(both), one, both)
+        return Sloped({figure: float(x[0]) for figure, x in found.items()}, gradients, 2 * len(names) + 1)
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return the same by the tangents of runs; None if there is no way."""
+        return None
+
+
+@dataclass(frozen=True)
+class Numbers(Probe):
+    """The vehicle's own numbers; it has no task."""
+
+    task: Task = None  # type: ignore[assignment]
+
+    @property
+    def drives(self) -> bool:
+        """No cycle is driven."""
+        return False
+
+    def at(self, vehicle: Vehicle) -> Figures:
+        """Return the numbers."""
+        return {name: float(x) for name, x in numbers(vehicle).items()}
+
+
+@dataclass(frozen=True)
+class DriveProbe(Probe):
+    """A cycle that is driven once."""
+
+    task: Drive
+
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
+        found = run_batch(vehicle, columns, self.task.cycle, mode=self.task.mode, dt=self.task.dt)
+        if not all(figure in found for figure in wanted):
+            return None
+        return {figure: found[figure].values for figure in wanted}
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return figures with their gradients by the tangents of a run."""
+        values, gradients = _run(vehicle, names, np.eye(len(names)), self.task)
+        if not all(figure in values and figure in gradients for figure in wanted):
+            return None
+        return Sloped({figure: values[figure] for figure in wanted}, {figure: gradients[figure] for figure in wanted}, 1)
+
+
+def _run(vehicle: Vehicle, names: Sequence[str], chain: Array, task: Drive | Linear) -> tuple[Figures, dict[str, Array]]:
+    """Return the figures of a run that are numbers, and their gradients; the chain is what the names are of those that vary."""
+    values = {
+        name: float(x) for name, x in run(vehicle, task.cycle, mode=task.mode, dt=task.dt, history=False).figures.items()
+        if isinstance(x, int | float)
+    }  # fmt: skip
+    found = figure_gradient(vehicle, task.cycle, names, mode=task.mode, dt=task.dt)
+    return values, {figure: np.array([of[name] for name in names]) @ chain for figure, of in found.items()}
+
+
+def _started(
+    vehicle: Vehicle, names: Sequence[str], place: Callable[[Vehicle], float | None], soc: float | None
+) -> tuple[Vehicle, Sequence[str], Array]:
+    """Return the vehicle at a charge to start from, the numbers by which it is derived, and what these are of the names that vary.
+
+    Where the window of the charge is among these, the start moves with it; its place in the window goes in proportion.
+    """
+    starts, eye = vehicle.tags.all_of("start charge"), np.eye(len(names))
+    if soc is None or not starts:
+        return vehicle, names, eye
+    car = vehicle.with_values(dict.fromkeys(starts, soc))
+    ends = [name for name in _window(vehicle) if name in names]
+    if not ends:
+        return car, names, eye
+    moved = np.zeros(len(names))
+    for name in ends:
+        h = STEP * (abs(vehicle.values[name]) or 1.0)
+        near = [place(vehicle.displaced({name: vehicle.values[name] + x})) or 0.0 for x in (-h, h)]
+        moved[names.index(name)] = (near[1] - near[0]) / (2 * h)
+    return car, [*names, *starts], np.vstack([eye, *[moved] * len(starts)])
+
+
+@dataclass(frozen=True)
+class LinearProbe(Probe):
+    """A cycle that is driven twice, from either end of the window, for a charge that is kept."""
+
+    task: Linear
+
+    def _end(self, i: int, vehicle: Vehicle) -> float:
+        return self.ends(vehicle)[i]
+
+    def ends(self, vehicle: Vehicle) -> tuple[float, float]:
+        """Return the charges at the start."""
+        ends = window(vehicle)
+        low, high = (ends[0] - OUTSIDE, ends[1] + OUTSIDE) if ends else (first_charge(vehicle) + x for x in (-AROUND, AROUND))
+        return max(low, 0.0), min(high, 1.0)
+
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
+        starts = vehicle.tags.all_of("start charge")
+        if set(wanted) != {FUEL} or set(starts) & columns.keys():
+            return None
+        fuel, change = [], []
+        for soc in self.ends(vehicle):
+            d = run_batch(vehicle, {**columns, **dict.fromkeys(starts, soc)}, self.task.cycle, mode=self.task.mode, dt=self.task.dt)
+            fuel.append(d[FUEL].values)
+            change.append((d["soc_end"] - d["soc_start"]).values)
+        with np.errstate(all="ignore"):
+            kept = fuel[0] - change[0] * (fuel[1] - fuel[0]) / (change[1] - change[0])
+        # As the task has it: one run will do where the charge is kept in it, and of one side only nothing can be told.
+        kept = np.where(change[0] * change[1] > 0, np.nan, kept)
+        return {wanted[0]: np.where(np.abs(change[0]) <= self.task.tolerance, fuel[0], kept)}
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return the fuel with its gradient by the tangents of both runs."""
+        if set(wanted) != {FUEL} or set(vehicle.tags.all_of("start charge")) & set(names):
+            return None
+        f, df, d, dd = [], [], [], []
+        for i, soc in enumerate(self.ends(vehicle)):
+            values, gradients = _run(*_started(vehicle, names, partial(self._end, i), soc), self.task)
+            f.append(values[FUEL])
+            df.append(gradients[FUEL])
+            d.append(values["soc_end"] - values["soc_start"])
+            dd.append(gradients["soc_end"] - gradients["soc_start"])
+            if abs(d[0]) <= self.task.tolerance:
+                return Sloped({FUEL: f[0]}, {FUEL: df[0]}, 1)
+        if d[0] * d[1] > 0:
+            return Sloped({FUEL: np.nan}, {FUEL: np.full(len(names), np.nan)}, 1)
+        share = d[0] / (d[0] - d[1])
+        dshare = (dd[0] * (1 - share) + dd[1] * share) / (d[0] - d[1])
+        return Sloped({FUEL: f[0] + share * (f[1] - f[0])}, {FUEL: df[0] + share * (df[1] - df[0]) + dshare * (f[1] - f[0])}, 1)
+
+
+@dataclass(frozen=True)
+class FullEffortProbe(Probe):
+    """Full acceleration, as long as it takes: times between speeds."""
+
+    task: AccelerationTest
+
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
+        test, pairs = self.task, self.pairs(wanted)
+        if pairs is None:
+            return None
+        highest, unit = max(high for _, high in pairs) * IN_MPS[test.unit], IN_MPS[test.unit]
+        found = {figure: np.full(_runs(columns), np.nan) for figure in wanted}
+        for i, time, v in _driven(test, vehicle, columns, highest, STEADY):
+            for figure, (low, high) in zip(wanted, pairs, strict=True):
+                start, end = (crossing(time, v, x * unit) if x else 0.0 for x in (low, high))
+                found[figure][i] = end - start
+        return found
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return times with their gradients by the tangents of a run."""
+        if (pairs := self.pairs(wanted)) is None:
+            return None
+        unit = IN_MPS[self.task.unit]
+        time, v, dv = _felt(self.task, vehicle, names, max(high for _, high in pairs) * unit, STEADY)
+        values, gradients = {}, {}
+        for figure, ends in zip(wanted, pairs, strict=True):
+            (t0, dt0), (t1, dt1) = (crossing_slope(time, v, dv, x * unit) if x else (0.0, np.zeros(len(names))) for x in ends)
+            values[figure], gradients[figure] = t1 - t0, dt1 - dt0
+        return Sloped(values, gradients, 1)
+
+    def pairs(self, wanted: Sequence[str]) -> list[tuple[float, float]] | None:
+        """Return the speeds of the figures; None if one is no time between speeds."""
+        named = {f"time_{low:g}_to_{high:g}_{NAMES[self.task.unit]}_s": (low, high) for low, high in self.task.pairs}
+        own = self.task == AccelerationTest(pairs=self.task.pairs, unit=self.task.unit, within=self.task.within, over=self.task.over)
+        return [named[figure] for figure in wanted] if own and all(figure in named for figure in wanted) else None
+
+
+@dataclass(frozen=True)
+class TopSpeedProbe(Probe):
+    """Full acceleration until nothing is gained any more."""
+
+    task: TopSpeedTest
+
+    def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
+        """Return figures of many vehicles at once; None if there is no way."""
+        if set(wanted) != {"top_speed_mps"} or self.task != TopSpeedTest():
+            return None
+        found = np.full(_runs(columns), np.nan)
+        for i, _, v in _driven(self.task, vehicle, columns, np.inf, STEADIEST):
+            found[i] = v.max()
+        return {wanted[0]: found}
+
+    def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
+        """Return the speed with its gradient by the tangents of a run."""
+        if set(wanted) != {"top_speed_mps"} or self.task != TopSpeedTest():
+            return None
+        _, v, dv = _felt(self.task, vehicle, names, np.inf, STEADIEST)
+        i = int(v.argmax())
+        return Sloped({wanted[0]: float(v[i])}, {wanted[0]: dv[i]}, 1)
+
+
+def _felt(
+    test: AccelerationTest | TopSpeedTest, vehicle: Vehicle, names: Sequence[str], highest: float, steady: float
+) -> tuple[Array, Array, Array]:
+    """Return time and speed of a vehicle at full effort with the speed's gradients, held until a speed is reached or nothing is gained."""
+    car, own, chain = _started(test.applied(vehicle, "middle", more=shifting(vehicle)), names, _middle, _middle(vehicle))
+    mode, speed = test.solved(car, test.mode), stepper_of(car).step.tags.the("speed")
+    for held in DURATIONS:
+        cycle = acceleration_cycle(REQUEST, t_start=T_START, duration=held)
+        found = slopes(car, cycle, own, (), history=(speed,), mode=mode, dt=DT)
+        v = found.history[speed]
+        late = len(v) - len(v) // 10
+        if v.max() >= highest or v[late:].max() - v[:late].max() < steady:
+            break
+    return found.time, v, found.history_gradient[speed] @ chain
+
+
+def _driven(
+    test: AccelerationTest | TopSpeedTest, vehicle: Vehicle, columns: Mapping[str, Array], highest: float, steady: float
+) -> Iterator[tuple[int, Array, Array]]:
+    """Yield number, time and speed of each vehicle at full effort, held until a speed is reached or nothing is gained."""
+    car = test.applied(vehicle, "middle", more=shifting(vehicle))
+    mode, speed = test.solved(car, test.mode), stepper_of(car).step.tags.the("speed")
+    left = np.arange(_runs(columns))
+    for held in DURATIONS:
+        part = {name: x[left] for name, x in columns.items()}
+        cycle = acceleration_cycle(REQUEST, t_start=T_START, duration=held)
+        d = run_batch(car, part, cycle, mode=mode, dt=DT, history=[speed], summary={})
+        time, v, sound = d["time"].values, d[speed].values, d["status"].values == 0
+        late = v.shape[1] - v.shape[1] // 10
+        done = (v.max(axis=1) >= highest) | (v[:, late:].max(axis=1) - v[:, :late].max(axis=1) < steady) | (held == DURATIONS[-1])
+        yield from ((int(left[k]), time, v[k]) for k in np.flatnonzero(done & sound))
+        left = left[~done & sound]
+        if not len(left):
+            break
+
+
+def _runs(columns: Mapping[str, Array]) -> int:
+    return len(next(iter(columns.values())))
+
+
+def crossing(time: Array, speed: Array, v: float) -> float:
+    """Return the time from the start of the first accelerating step to a speed [s]; NaN where it is not reached."""
+    above = np.flatnonzero(speed >= v)
+    if not len(above):
+        return np.nan
+    i = int(above[0])
+    if i == 0:
+        return float(time[0] * v / speed[0]) - T_START
+    share = (v - speed[i - 1]) / (speed[i] - speed[i - 1])
+    return float(time[i - 1] + share * (time[i] - time[i - 1])) - T_START
+
+
+def crossing_slope(time: Array, speed: Array, gradient: Array, v: float) -> tuple[float, Array]:
+    """Return the time to a speed, and its gradient from those of the speeds on either side."""
+    above = np.flatnonzero(speed >= v)
+    if not len(above):
+        return np.nan, np.full(gradient.shape[1], np.nan)
+    i = int(above[0])
+    a, b = (speed[i - 1], speed[i]) if i else (0.0, speed[0])
+    da, db = (gradient[i - 1], gradient[i]) if i else (np.zeros(gradient.shape[1]), gradient[0])
+    length = time[i] - (time[i - 1] if i else 0.0)
+    return crossing(time, speed, v), -length * (da * (b - v) + db * (v - a)) / (b - a) ** 2
+
+
+def touched(vehicle: Vehicle, columns: Mapping[str, Any]) -> bool:
+    """Return whether the window of the charge differs, from which a test takes where to start."""
+    return bool(set(_window(vehicle)) & columns.keys())
+
+
+def _middle(vehicle: Vehicle) -> float | None:
+    return charge_at(vehicle, "middle")
+
+
+def _window(vehicle: Vehicle) -> list[str]:
+    return [name for tag in ("lowest charge", "highest charge") for name in vehicle.tags.all_of(tag)]
+
+
+def probe_of(task: Task | None) -> Probe:
+    """Return how a task is asked; None stands for the vehicle's own numbers."""
+    if task is None:
+        return Numbers()
+    kinds: dict[type, type[Probe]] = {
+        Drive: DriveProbe,
+        Linear: LinearProbe,
+        AccelerationTest: FullEffortProbe,
+        TopSpeedTest: TopSpeedProbe,
+    }
+    return kinds.get(type(task), Probe)(task)

@@ -1,0 +1,37 @@
+"""The solver against autosize, differential evolution and sizing again; the page of the manual; some minutes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from halfshaft.validation.sizing import CARS, SMOOTH, case, smooth_price
+
+PAGE = Path(__file__).parents[1] / "docs" / "sizing.md"
+
+
+@pytest.mark.parametrize("name", CARS)
+def test_the_solver_is_no_worse_with_a_twentieth_of_the_evaluations(name: str) -> None:
+    found = case(name)
+    assert found.ipopt.holds
+    assert found.ipopt.goal <= found.autosize.goal
+    assert found.worse <= 1e-3
+    assert found.fewer >= 20
+
+
+@pytest.mark.parametrize("x", SMOOTH, ids=str)
+def test_a_multiplier_is_the_price_of_one_percent(x: tuple[str, tuple[tuple[str, str], ...], str, str]) -> None:
+    # Of a curve, the slope in its middle is that of the chord.
+    price = smooth_price(*x)
+    assert (price.tighter + price.looser) / 2 == pytest.approx(price.multiplier, rel=0.05)
+
+
+def test_the_page_on_sizing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert len(blocks) == 3
+    space: dict[str, object] = {"__name__": "sizing"}
+    for block in blocks:
+        exec(compile(block, str(PAGE), "exec"), space)
