@@ -41,7 +41,10 @@ def anchor(heading):
 
 
 @pytest.mark.parametrize(
-    ("name", "least"), [("tutorial", 11), ("cycles", 3), ("compare", 3), ("sweeps", 5), ("autosize", 5), ("tests", 5), ("gradients", 2)]
+    ("name", "least"),
+    [
+        ("tutorial", 11), ("cycles", 3), ("compare", 3), ("sweeps", 5), ("autosize", 5), ("tests", 5), ("gradients", 2), ("smooth", 2),
+    ],
 )  # fmt: skip
 def test_page_runs_from_top_to_bottom(name, least, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
