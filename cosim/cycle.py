@@ -180,7 +180,7 @@ class Cycle:
         return float(self.time[-1] - self.time[0])
 
     @classmethod
-    def load(cls, source: str | Path, grade: float | str | Path | None = None) -> Cycle:
+    def load(cls, source: str | Path, grade: float | str | Path | None = None, *, others: bool = False) -> Cycle:
         """Return a cycle of the library by name, or of a CSV file.
 
         Parameters
@@ -189,10 +189,12 @@ class Cycle:
             Name, in any case of letters, or path ending in ``.csv``.
         grade
             Its road, as in `graded`.
+        others
+            Whether a file may have columns that are none of a cycle, which are left out.
 
         """
         if grade is not None:
-            return cls.load(source).graded(grade)
+            return cls.load(source, others=others).graded(grade)
         path: Path | Traversable = Path(source)
         grade_path: Path | Traversable | None = None
         if isinstance(source, str) and not source.lower().endswith(".csv"):
@@ -201,7 +203,7 @@ class Cycle:
                 raise InputError(f"cycle '{source}'", [f"not in the library{nearest(source.lower(), library)}"])
             path = library[source.lower()]
             grade_path = _library("grades").get(source.lower())
-        notes, columns = read_csv(path, TRACE, "time")
+        notes, columns = read_csv(path, TRACE, "time", (lambda _: None) if others else None)
         speed = columns["speed"]
         below = speed < 0
         zeroed = (f"{np.sum(below)} speeds below zero, down to {speed.min():.2g} m/s, were set to 0",) if below.any() else ()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.resources.abc import Traversable
 from itertools import pairwise
 from pathlib import Path
@@ -49,6 +49,8 @@ class Quantity(NamedTuple):
     allowed: str = ""
 
 
+#: Any finite number.
+ANY = Quantity((), {}, None)
 #: A logger at rest may show a speed so far below zero [m/s].
 NEGATIVE = 0.5
 #: What a trace and a grade over distance may hold.
@@ -82,6 +84,10 @@ UNUSED = {
 }  # fmt: skip
 
 
+#: What a column is, by its title: its name, factor and offset to SI; a text says what is wrong with it; None: known, or to be left out.
+Others: TypeAlias = Callable[[str], tuple[str, float, float] | str | None]
+
+
 class Column(NamedTuple):
     """One column that is read."""
 
@@ -89,9 +95,12 @@ class Column(NamedTuple):
     title: str
     name: str
     factor: float
+    offset: float = 0.0
 
 
-def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str) -> tuple[dict[str, str], dict[str, Array]]:
+def read_csv(
+    path: Path | Traversable, known: Mapping[str, Quantity], axis: str, others: Others | None = None
+) -> tuple[dict[str, str], dict[str, Array]]:
     """Return what stands before the columns of a CSV file (several notes one below the other), and the columns in SI.
 
     Parameters
@@ -102,6 +111,8 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
         What its columns may hold, by name.
     axis
         Which of them must rise.
+    others
+        Says of a title what its column is; None for one of those known, or one that is left out.  Without it every column must be known.
 
     Raises
     ------
@@ -122,11 +133,12 @@ def read_csv(path: Path | Traversable, known: Mapping[str, Quantity], axis: str)
         raise InputError(str(path), ["is empty"])
     head = lines[start]
     separator = next((sign for sign in ";\t" if sign in head), ",")
-    columns, width = _columns(path, head.split(separator), start + 1, known)
+    columns, width = _columns(path, head.split(separator), start + 1, known, others)
+    known = {**dict.fromkeys((c.name for c in columns), ANY), **known}
     body = lines[start + 1 :]
     values = _quickly(body, separator, columns, width)
     with np.errstate(over="ignore"):
-        found = {} if values is None else {c.name: values[:, k] * c.factor for k, c in enumerate(columns)}
+        found = {} if values is None else {c.name: values[:, k] * c.factor + c.offset for k, c in enumerate(columns)}
     if not found or not all(_holds(known[name], x) for name, x in found.items()) or np.any(np.diff(found[axis]) <= 0):
         raise InputError(str(path), _wrong(body, start + 2, separator, columns, width, known, axis))
     return notes, found
@@ -163,7 +175,9 @@ def _holds(quantity: Quantity, values: Array) -> bool:
     return bool(np.all(np.isfinite(values)) and values.min() >= quantity.low and values.max() <= quantity.high)
 
 
-def _columns(path: Path | Traversable, titles: Sequence[str], line: int, known: Mapping[str, Quantity]) -> tuple[list[Column], int]:
+def _columns(
+    path: Path | Traversable, titles: Sequence[str], line: int, known: Mapping[str, Quantity], others: Others | None
+) -> tuple[list[Column], int]:
     problems, columns = [], []
     if not any(re.search("[^\\W\\d]", title) for title in titles):
         wanted = ", ".join(q.needed for q in known.values() if q.needed)
@@ -172,7 +186,13 @@ def _columns(path: Path | Traversable, titles: Sequence[str], line: int, known: 
         plain = _plain(title)
         if plain in UNUSED:
             continue
-        found = _quantity(plain, known)
+        other = others and others(title.strip(" \"'"))
+        if isinstance(other, tuple):
+            columns.append(Column(place, title.strip(), *other))
+            continue
+        found = other or _quantity(plain, known)
+        if others and not other and isinstance(found, str) and plain not in {t for q in known.values() for t in q.titles}:
+            continue
         if isinstance(found, str):
             problems.append(f"line {line}: column '{title.strip()}' {found}")
         else:
@@ -240,7 +260,7 @@ def _wrong(
                 continue
             if not math.isfinite(value):
                 problems.append(f"line {i}: {c.title} = {text[:40]}, must be a finite number")
-            elif not known[c.name].low <= value * c.factor <= known[c.name].high:
+            elif not known[c.name].low <= value * c.factor + c.offset <= known[c.name].high:
                 problems.append(f"line {i}: {c.title} = {text[:40]}, must be {known[c.name].allowed}")
             if c.name == axis:
                 points[-1] = value

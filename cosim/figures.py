@@ -5,7 +5,7 @@ What the vehicle does not have is left out; what a run does not have, such as an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,16 @@ UNITS = {
     "_m": "m", "_s": "s", "_L": "L", "_J": "J", "_W": "W", "_kg": "kg", "_mps": "m/s", "_mps2": "m/s^2", "_L_per_100km": "L/100 km",
     "_mpg": "mpg", "_Wh_per_km": "Wh/km", "_kWh_per_100km": "kWh/100 km", "_MPGe": "mpg", "_percent": "%",
 }  # fmt: skip
+#: What is shown of a study unless other figures are asked for.
+MAIN = (
+    "time_0_to_100_kmh_s", "grade_percent", "top_speed_mps", "fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km",
+    "energy_Wh_per_km", "soc_end", "trace_miss_max_mps",
+)  # fmt: skip
+
+
+def main_of(names: Iterable[str]) -> list[str]:
+    """Return which of the figures of some tasks are shown unless others are asked for."""
+    return [name for name in names if name.rpartition(".")[2] in MAIN]
 
 
 def unit_of(figure: str) -> str:

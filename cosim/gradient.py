@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any, NamedTuple, TypeAlias
@@ -35,7 +36,8 @@ HOWS = ("last", "integral", "max", "min")
 PLACES, WEIGHTS, APART = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -1.0]) / 12, 1e-3
 
 
-class Slopes(NamedTuple):
+@dataclass(frozen=True)
+class Slopes:
     """What was asked for of a run, and its derivatives.
 
     Parameters

@@ -21,7 +21,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from halfshaft import Cycle, Vehicle, component_names, plot_run, run
+from halfshaft import Cycle, Record, Vehicle, calibrate, component_names, plot_run, run, uncertainty
 from halfshaft.app.show import any_component
 from halfshaft.cosim.maps import plot_maps
 from halfshaft.cosim.smooth import smoothed
@@ -31,6 +31,10 @@ from halfshaft.library.base.ports import Port
 from halfshaft.library.base.tables import Table
 from halfshaft.library.files.catalog import component_kinds
 from halfshaft.studies.autosize import Autosize
+from halfshaft.studies.calibration.coast_down import CoastDown, coast_down
+from halfshaft.studies.calibration.record import Series
+from halfshaft.studies.calibration.roll_out import rolled
+from halfshaft.studies.task import Drive
 
 PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -79,10 +83,40 @@ def smooth() -> tuple[Figure, str]:
     return figure, "The smooth step comes to the exact one in proportion to the width; a limit is a bend"
 
 
+def calibrated() -> tuple[Figure, str]:
+    """Return a calibration as that of its page, over a shorter drive."""
+    car, cycle = Vehicle.load("small-car-electric"), Cycle.load("udds").between(0, 330)
+    result, draw = run(car.with_values({"body.c_d": 0.26, "wheel.f_0": 0.014}), cycle), np.random.default_rng(1)
+    noises = {"battery.P_out": 500.0, "battery.soc": 1e-3}
+    series = tuple(Series(output=n, time=result.time, values=result[n] + x * draw.normal(size=len(result.time))) for n, x in noises.items())
+    found = calibrate(car, Record(name="drive", cycle=cycle, series=series), {"body.c_d": "0.2..0.5", "wheel.f_0": "0.004..0.02"})
+    return found.plot(), "Power and charge of a drive: measured, before and fitted, and residuals"
+
+
+def coasted() -> tuple[Figure, str]:
+    """Return a coast-down both ways, with wind and slope."""
+    time, draw, runs = np.arange(0, 100, 0.5), np.random.default_rng(1), []
+    for d, name in ((1, "there"), (-1, "back")):
+        load = 140 + 0.42 * 2.0**2 + d * 1500 * 9.81 * 0.002, 1.5 + d * 2 * 0.42 * 2.0, 0.42
+        speed = rolled(time, 33.0, load, 1545.0)[0] + 0.03 * draw.normal(size=len(time))
+        runs.append(CoastDown(name=name, time=time, speed=speed, direction=d))
+    return coast_down(runs, 1500.0).plot(), "Two coast-downs against and with the wind, residuals, and the road load that they tell"
+
+
+def uncertain() -> tuple[Figure, str]:
+    """Return what the page on uncertainty begins with."""
+    vary = {"body.c_d": "normal(0.335, 0.010)", "body.m": "uniform(1130, 1230 kg)", "wheel.f_0": "lognormal(0.009, 0.0009)"}
+    found = uncertainty(Vehicle.load("small-car-electric"), vary, Drive(Cycle.load("udds")), figures=["energy_Wh_per_km"])
+    return found.plot(), "Consumption of the electric car on UDDS: samples, first order, and shares of the variance"
+
+
 PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
     "one-run": one_run,
     "overlaid": overlaid,
     "smooth": smooth,
+    "calibrated": calibrated,
+    "coast-down": coasted,
+    "uncertain": uncertain,
     **{f"sized-{kind}": partial(sized, f"small-car-{kind}") for kind in ("series", "parallel", "conventional", "electric")},
 }
 

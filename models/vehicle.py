@@ -498,7 +498,8 @@ def _parameter_sets(vehicle: Vehicle) -> dict[str, Parameters]:
             rules[d.target] = d.rules[0]()
     if problems:
         raise InputError(f"vehicle '{vehicle.name}'", problems)
-    rows_set = {name.rpartition("_")[0] for name in vehicle.given}
+    # An entry of a row ends in its place: body.m_test is none of body.m.
+    rows_set = {stem for stem, _, place in (name.rpartition("_") for name in vehicle.given) if place.isdigit()}
     rules = {target: rule for target, rule in rules.items() if target not in rows_set | vehicle.given.keys()}
     # What looks at all parts comes last.
     rules = dict(sorted(rules.items(), key=lambda item: item[1].needs is None))

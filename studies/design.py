@@ -2,7 +2,8 @@
 
 An axis is a number of the vehicle by its name, a role of the powertrain whose part is replaced, or the vehicle itself.  Its
 values are a list, or of a number also a range: ``1000..1600:4`` four values at equal distances, ``1000..1600`` what a
-sample takes values between.  Numbers are SI, or have a unit; a unit at the end counts for those before it that have none.
+sample takes values between; or a distribution that a sample is drawn from, ``normal(1300, 40)``.  Numbers are SI, or have a
+unit; a unit at the end counts for those before it that have none.
 """
 
 from __future__ import annotations
@@ -20,14 +21,22 @@ import numpy as np
 
 from halfshaft.library.base.errors import InputError, nearest
 from halfshaft.library.files.component_file import ComponentFile, Reader, shown
+from halfshaft.studies.distributions import (
+    Correlation,
+    Distribution,
+    correlated,
+    correlation_matrix,
+    is_distribution,
+    read_distribution,
+)
 
 if TYPE_CHECKING:
     from halfshaft.cosim.compiled import Array
     from halfshaft.library.base.parameters import Spec
     from halfshaft.models.vehicle import Vehicle
 
-#: What an axis may be given as: a text, or a list of numbers, of texts with units, or of names.
-Given: TypeAlias = str | Sequence[float | str | Path]
+#: What an axis may be given as: a text, a list of numbers, of texts with units, or of names, or a distribution of `scipy.stats`.
+Given: TypeAlias = str | Sequence[float | str | Path] | Any
 Value: TypeAlias = float | str
 Kind: TypeAlias = Literal["lhs", "sobol", "saltelli"]
 
@@ -51,11 +60,13 @@ class Axis:
     unit, doc
         Of a number, SI; empty for what is chosen by name.
     values
-        Those of a grid or a list; of an open range its two ends.
+        Those of a grid or a list; of an open range its two ends; of a distribution, between which nine tenths of it lie.
     open
         Whether a sample takes any number between the two values.
     parts
         The components that the values are the names of.
+    spread
+        The distribution that a sample takes numbers from.
 
     """
 
@@ -65,6 +76,7 @@ class Axis:
     values: tuple[Value, ...]
     open: bool = False
     parts: tuple[ComponentFile, ...] = ()
+    spread: Distribution | None = None
 
     @property
     def numeric(self) -> bool:
@@ -73,6 +85,8 @@ class Axis:
 
     def at(self, share: float) -> Value:
         """Return the value at a share of the axis, from 0 to below 1: of a list each value has an equal part."""
+        if self.spread:
+            return float(self.spread.at(share))
         if self.open:
             low, high = (float(x) for x in self.values)
             return low + share * (high - low)
@@ -148,6 +162,8 @@ class Design:
 
     axes: tuple[Axis, ...]
     sample: Sample | None = None
+    #: Of the normal scores of what is drawn, as `distributions` has it; None where all is independent.
+    correlation: Array | None = None
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -169,12 +185,24 @@ class Design:
         """The values of all axes at each point; on a grid the last axis varies fastest."""
         if self.sample is None:
             return list(product(*(axis.values for axis in self.axes)))
-        shares = self.sample.shares(len(self.axes)).tolist()
-        return [tuple(axis.at(u) for axis, u in zip(self.axes, row, strict=True)) for row in shares]
+        shares = self.sample.shares(len(self.axes))
+        if self.correlation is not None:
+            shares = correlated(shares, self.correlation)
+        columns = [
+            axis.spread.at(column).tolist() if axis.spread else [axis.at(u) for u in column.tolist()]
+            for axis, column in zip(self.axes, shares.T, strict=True)
+        ]
+        return list(zip(*columns, strict=True))
 
 
-def design_of(vehicles: Sequence[Vehicle], axes: Mapping[str, Given], sample: Sample | None, problems: list[str]) -> Design:
-    """Return the design, and add to `problems` all that is wrong with it."""
+def design_of(
+    vehicles: Sequence[Vehicle], axes: Mapping[str, Given], sample: Sample | None, problems: list[str],
+    correlation: Correlation | None = None, truncate: bool = False,
+) -> Design:  # fmt: skip
+    """Return the design, and add to `problems` all that is wrong with it.
+
+    Distributions are cut at the bounds of their numbers with `truncate`; without, what is drawn outside of them is wrong.
+    """
     names = [car.name for car in vehicles]
     problems.extend(f"vehicle '{name}' is given {names.count(name)} times" for name in dict.fromkeys(names) if names.count(name) > 1)
     found = [Axis(VEHICLE, "", "vehicle", tuple(names))] if len(vehicles) > 1 else []
@@ -189,13 +217,32 @@ def design_of(vehicles: Sequence[Vehicle], axes: Mapping[str, Given], sample: Sa
     for name, given in axes.items():
         if name not in roles:
             role = name.partition(".")[0]
-            found.append(_numbers(name, given, [_settable(car) for car in parts[role]] if parts.get(role) else settable, sample, problems))
+            known = [_settable(car) for car in parts[role]] if parts.get(role) else settable
+            axis = _numbers(name, given, known, sample, problems, truncate)
+            found.append(axis)
     _rivals(vehicles, [axis.name for axis in found if axis.numeric], problems)
     order = {VEHICLE: -1, **{name: i for i, name in enumerate(axes)}}
-    design = Design(tuple(sorted(found, key=lambda axis: order[axis.name])), sample)
+    found.sort(key=lambda axis: order[axis.name])
+    matrix = correlation_matrix(correlation, [axis.name for axis in found], problems)
+    if matrix is not None:
+        problems.extend(f"axis {axis.name} has a correlation, must be a distribution" for axis in found if not axis.spread)
+        if sample is not None and sample.kind == "saltelli":
+            problems.append("a sample saltelli is for numbers that are independent: leave out the correlation, or draw sobol:N")
+    design = Design(tuple(found), sample, matrix)
     if design.size > MOST_POINTS:
         problems.append(f"has {design.size} points, must have at most {MOST_POINTS}; draw a sample")
+    elif not problems:
+        problems.extend(_drawn_outside(design, settable[0]))
     return design
+
+
+def _drawn_outside(design: Design, specs: Mapping[str, Spec]) -> Iterator[str]:
+    """Yield which distributions reach beyond the bounds of their numbers."""
+    for i, axis in enumerate(design.axes):
+        if axis.spread and axis.name in specs and (bad := specs[axis.name].outside(x := np.array([p[i] for p in design.points]))).any():
+            spec, worst = specs[axis.name], x[bad][np.argmax(np.abs(x[bad] - axis.spread.mean))]
+            told = f"{int(bad.sum())} of {len(x)} points are outside, such as {spec.shown(worst)}, must be {spec.allowed()}"
+            yield f"axis {axis.name} = {axis.spread.text}: {told}; narrow it, or truncate it there"
 
 
 def _settable(car: Vehicle) -> dict[str, Spec]:
@@ -224,12 +271,14 @@ def _parts(vehicles: Sequence[Vehicle], role: str, given: Given, problems: list[
     return Axis(role, "", f"part in the role {role}", values, parts=parts), found
 
 
-def _numbers(name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sample: Sample | None, problems: list[str]) -> Axis:
+def _numbers(
+    name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sample: Sample | None, problems: list[str], truncate: bool
+) -> Axis:
     """Return an axis over a number."""
     known = {n: spec for of in settable for n, spec in of.items()}
     specs = [of[name] for of in settable if name in of]
     empty = Axis(name, "1", "", ())
-    if not isinstance(given, str) and not hasattr(given, "__len__"):
+    if not isinstance(given, str) and not hasattr(given, "__len__") and not is_distribution(given):
         problems.append(f"axis {name} = {shown(given)}, must be a list or a range such as 1000..1600:4")
         return empty
     if not specs:
@@ -240,6 +289,8 @@ def _numbers(name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sa
     if len({spec.unit for spec in specs}) > 1:
         problems.append(f"axis {name} has not the same unit in all vehicles: {' and '.join(sorted({spec.unit for spec in specs}))}")
     reader, spec = Reader(), specs[0]
+    if is_distribution(given):
+        return _spread(name, given, spec, sample, problems, truncate) or empty
     match = _RANGE.fullmatch(given) if isinstance(given, str) else None
     if match is None:
         items = given.split(",") if isinstance(given, str) else [x.item() if isinstance(x, np.generic) else x for x in given]
@@ -266,6 +317,19 @@ def _numbers(name: str, given: Given, settable: Sequence[Mapping[str, Spec]], sa
     # With the digits that a reader would type: 0.3 and not 0.30000000000000004.
     values = (low, high) if sample else tuple(float(f"{x:.12g}") for x in np.linspace(low, high, count))
     return Axis(name, spec.unit, spec.doc, values, open=sample is not None)
+
+
+def _spread(name: str, given: Given, spec: Spec, sample: Sample | None, problems: list[str], truncate: bool) -> Axis | None:
+    """Return an axis over a number that has a distribution."""
+    spread = read_distribution(given, spec, f"axis {name}", problems)
+    if sample is None:
+        problems.append(f"axis {name} = {shown(given)} is a distribution, which needs a sample, such as sobol:256")
+    if spread is None:
+        return None
+    if truncate:
+        spread = spread.within(spec)
+        problems.extend(f"axis {name} = {spread.text}, {problem}" for problem in spread.problems())
+    return Axis(name, spec.unit, spec.doc, tuple(spread.at([0.05, 0.95]).tolist()), spread=spread)
 
 
 def _with_units(items: Sequence[Any]) -> Iterator[Any]:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Share of bootstrap samples inside the bounds of an index, how many there are, and where they begin.
 CONFIDENCE, RESAMPLES, SEED = 0.95, 999, 0
+#: At most about so many numbers are redrawn at once; they take some megabytes.
+AT_ONCE = 1_000_000
 
 
 #: What can be drawn of a sweep.
@@ -161,16 +163,18 @@ def sobol_indices(found: xr.Dataset, name: str) -> list[Index]:
     if lost := int((~np.isfinite(y)).sum()):
         raise InputError("indices", [f"{name}: {lost} of {len(y)} points have no value, but the indices need all of them"])
     axes, n = axes_of(found), int(sample["n"])
-    rows = y.reshape(-1, 1, n)
+    a, b, *mixed = y.reshape(-1, n)
 
-    def of(chosen: Any) -> tuple[Array, Array]:
-        a, b, *mixed = rows[..., chosen]
-        result = indices(func={"f_A": a, "f_B": b, "f_AB": np.array(mixed)}, n=n)
-        return np.atleast_1d(result.first_order), np.atleast_1d(result.total_order)
+    def of(chosen: Any) -> Array:
+        """Return both indices of each axis, for each row of chosen points."""
+        func = {"f_A": a[chosen], "f_B": b[chosen], "f_AB": np.array([x[chosen] for x in mixed])}
+        result = indices(func=func, n=n)
+        return np.stack([np.atleast_2d(result.first_order), np.atleast_2d(result.total_order)], axis=1)
 
-    first, total = of(np.arange(n))
+    first, total = of(np.arange(n)[None])[0]
     chance = np.random.default_rng(SEED)
-    again = np.array([of(chance.integers(0, n, n)) for _ in range(RESAMPLES)])
+    drawn = np.array([chance.integers(0, n, n) for _ in range(RESAMPLES)])
+    again = np.concatenate([of(part) for part in np.array_split(drawn, -(-drawn.size * len(axes) // AT_ONCE))])
     low, high = np.quantile(again, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=0)
     bounds = np.stack([low, high], axis=-1).tolist()
     found_indices = [Index(axis, float(first[i]), tuple(bounds[0][i]), float(total[i]), tuple(bounds[1][i])) for i, axis in enumerate(axes)]

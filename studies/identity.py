@@ -37,10 +37,16 @@ def manifest(vehicles: tuple[Vehicle, ...], design: Design, tasks: tuple[Any, ..
         "version": __version__,
         "vehicles": {car.name: _vehicle(car) for car in vehicles},
         "axes": {
-            axis.name: {"values": axis.values, "open": axis.open, "parts": [part_text(part).sha256 for part in axis.parts]}
+            axis.name: {
+                "values": axis.values,
+                "open": axis.open,
+                "parts": [part_text(part).sha256 for part in axis.parts],
+                "distribution": axis.spread and [axis.spread.text, axis.spread.low, axis.spread.high],
+            }
             for axis in design.axes
         },
         "sample": plain(design.sample),
+        "correlation": None if design.correlation is None else design.correlation.tolist(),
         "tasks": {task.name: plain(task) for task in tasks},
     }
     texts = {car.name: vehicle_text(car) for car in vehicles}

@@ -25,6 +25,7 @@ from halfshaft.library.base.errors import HalfshaftError, InputError, nearest, n
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.crew import Crew, cluster, cores, processes
 from halfshaft.studies.design import Design, Given, Sample, Value, design_of
+from halfshaft.studies.distributions import Correlation
 from halfshaft.studies.folder import Kept, kept
 from halfshaft.studies.identity import manifest
 from halfshaft.studies.job import FAILURE, NOTES, Done, Job, Point, Row
@@ -53,6 +54,8 @@ def sweep(
     *,
     sample: str | None = None,
     seed: int = 0,
+    correlation: Correlation | None = None,
+    truncate: bool = False,
     responses: Sequence[str] = (),
     folder: str | Path | None = None,
     workers: int | None = None,
@@ -68,6 +71,7 @@ def sweep(
     axes
         What varies, by name: a number of the vehicle (``body.m``) or a role whose part is replaced (``motor``).  A list of
         values, or a text: ``"1000, 1200, 1500"``, or a range ``"50..100 kW:6"`` of six values.  Numbers are SI or have a unit.
+        Of a sample also a distribution: ``"normal(1300, 40)"``, or a frozen one of `scipy.stats`.
     tasks
         What is done with each vehicle, such as ``Drive(cycle)``.  The figures of several tasks are told apart by their names.
     sample
@@ -76,6 +80,10 @@ def sweep(
         values then.
     seed
         The same one draws the same points.
+    correlation
+        Of distributions, by pairs of names or as a matrix.
+    truncate
+        Cut distributions at the bounds of their numbers; without it, a point outside is an error.
     responses
         Which figures to return; all that the tasks find, if none is named.
     folder
@@ -103,7 +111,7 @@ def sweep(
         If a worker was lost; what was finished before is in the folder.
 
     """
-    job, design = _planned(vehicle, axes, tasks, sample, seed, workers, scheduler)
+    job, design = _planned(vehicle, axes, tasks, sample, seed, workers, scheduler, correlation, truncate)
     points = design.points
     responses = (responses,) if isinstance(responses, str) else responses
     with kept(manifest(job.vehicles, design, job.tasks), folder, len(points)) as keeper:
@@ -121,6 +129,8 @@ def _planned(
     seed: int,
     workers: int | None,
     scheduler: str | None,
+    correlation: Correlation | None = None,
+    truncate: bool = False,
 ) -> tuple[Job, Design]:
     """Return what to do and where, or raise one error with all that is wrong."""
     vehicles = tuple(vehicle) if isinstance(vehicle, list | tuple) else (vehicle,)
@@ -148,7 +158,7 @@ def _planned(
         problems.append("takes workers on this machine or the scheduler of a cluster, not both")
     if workers is not None and not (isinstance(workers, int) and 1 <= workers <= MOST_WORKERS):
         problems.append(f"workers = {workers!r}, must be a whole number from 1 to {MOST_WORKERS}")
-    design = design_of(vehicles, axes, drawn, problems)
+    design = design_of(vehicles, axes, drawn, problems, correlation, truncate)
     if problems:
         raise InputError("sweep", problems)
     plain = all(type(task) is Drive for task in work) and any(axis.numeric for axis in design.axes)

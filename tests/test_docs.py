@@ -40,12 +40,21 @@ def anchor(heading):
     return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.strip().lower()))
 
 
-@pytest.mark.parametrize(
-    ("name", "least"),
-    [
-        ("tutorial", 11), ("cycles", 3), ("compare", 3), ("sweeps", 5), ("autosize", 5), ("tests", 5), ("gradients", 2), ("smooth", 2),
-    ],
-)  # fmt: skip
+PROGRAMS = {
+    "tutorial": 11,
+    "cycles": 3,
+    "compare": 3,
+    "sweeps": 5,
+    "uncertainty": 4,
+    "autosize": 5,
+    "calibration": 6,
+    "tests": 5,
+    "gradients": 2,
+    "smooth": 2,
+}
+
+
+@pytest.mark.parametrize(("name", "least"), PROGRAMS.items())
 def test_page_runs_from_top_to_bottom(name, least, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = DOCS / f"{name}.md"

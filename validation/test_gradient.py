@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from halfshaft import Cycle, InputError, Vehicle, run, vehicle_names
-from halfshaft.cosim.gradient import slopes
-from halfshaft.cosim.simulate import stepper_of
+from halfshaft.cosim.cycle import Cycle
+from halfshaft.cosim.gradient import What, slopes
+from halfshaft.cosim.simulate import run, stepper_of
+from halfshaft.cosim.ways import Mode
+from halfshaft.library.base.errors import InputError
+from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 UDDS = Cycle.load("udds")
 #: Displacements over a number: the nearer, the fewer kinks and jumps are crossed.
@@ -14,7 +17,7 @@ APART = (1e-4, 1e-5, 1e-6, 1e-7)
 
 @pytest.mark.parametrize("mode", ["hybrid", "iteration"])
 @pytest.mark.parametrize("name", vehicle_names())
-def test_gradients_are_differences(name, mode):
+def test_gradients_are_differences(name: str, mode: Mode) -> None:
     rng, car = np.random.default_rng(1), Vehicle.load(name)
     step = stepper_of(car).step
     numbers = sorted(n for n, x in car.values.items() if x != 0 and n != step.tags.the("start speed"))
@@ -26,7 +29,7 @@ def test_gradients_are_differences(name, mode):
             car.displaced({number: car.values[number] * (1 + APART[0])})
         except InputError:
             numbers.remove(number)
-    wanted = [(d.name, "integral") for d in step.outputs if d.booking in ("fuel", "stored")]
+    wanted: list[What] = [(d.name, "integral") for d in step.outputs if d.booking in ("fuel", "stored")]
     found = slopes(car, UDDS, numbers, wanted, mode=mode)
     wrong = {}
     for i, number in enumerate(numbers):

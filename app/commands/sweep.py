@@ -23,12 +23,8 @@ if TYPE_CHECKING:
 Kind: TypeAlias = Literal["lines", "contours", "slices", "tornado", "indices"]
 #: At most so many points are printed one by one, and so many failures named.
 ROWS, FAILURES = 40, 5
-#: What is printed of the figures unless others are asked for.
+#: The tests that are no procedures.
 TESTS = ("acceleration", "gradeability", "top-speed")
-MAIN = (
-    "time_0_to_100_kmh_s", "grade_percent", "top_speed_mps", "fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km",
-    "energy_Wh_per_km", "soc_end", "trace_miss_max_mps",
-)  # fmt: skip
 
 
 @app.command(
@@ -81,6 +77,7 @@ def _sweep(
     as_json: Json = False,
 ) -> None:
     from halfshaft.cosim.cycle import Cycle
+    from halfshaft.cosim.figures import main_of
     from halfshaft.studies.design import read_axes
     from halfshaft.studies.effects import Constraint, kind_problems
     from halfshaft.studies.job import FAILURE
@@ -94,7 +91,7 @@ def _sweep(
     for trace in traces:
         checks.step(dt, trace)
     axes = read_axes(axis or (), checks.problem)
-    tests = [checks.take(partial(_test, name)) for name in test or ()]
+    tests = [checks.take(partial(named_test, name)) for name in test or ()]
     if not (traces or tests):
         checks.problem("nothing to do: name a cycle or a test, such as --cycle udds or --test acceleration")
     if correction is not None and not traces:
@@ -128,7 +125,7 @@ def _sweep(
         if out is not None:
             typer.secho(f"what is finished is in {out}; the same command goes on there", fg="yellow", err=True)
         raise
-    drawn = response or [str(name) for name in found if str(name).rpartition(".")[2] in MAIN]
+    drawn = response or main_of(map(str, found))
     if as_json:
         columns = table(found)
         failed = sum(text != "" for text in columns[FAILURE])
@@ -144,7 +141,7 @@ def _sweep(
         print_written(out, plot)
 
 
-def _test(name: str) -> Task:
+def named_test(name: str) -> Task:
     """Return a test by its name, as `halfshaft test` runs it where nothing else is said."""
     from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
     from halfshaft.studies.gradeability import GradeabilityTest

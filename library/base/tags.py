@@ -27,6 +27,7 @@ Tag: TypeAlias = Literal[
     "vehicle mass",
     "gravity",
     "start speed",
+    "road load",  # what of air and tyres a measured road load tells
     "miss threshold",
     # Of tyres and brakes.
     "asked force",  # before any limit

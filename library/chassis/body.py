@@ -206,7 +206,7 @@ class Body(Component):
 class BodyParameters(MassParameters):
     """Mass, shape and geometry of the vehicle."""
 
-    c_d: float = param("1", "drag coefficient", ge=0, le=10)
+    c_d: float = param("1", "drag coefficient", ge=0, le=10, tag="road load")
     A: float = param("m^2", "frontal area", ge=0, le=100)
     rho: float = param("kg/m^3", "air density", 1.2, ge=0, le=10)
 

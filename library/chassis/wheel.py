@@ -318,8 +318,8 @@ class Wheel(Component, Rolling):
 class WheelParameters(AxleParameters):
     """Wheels whose rolling resistance is a share of the weight."""
 
-    f_0: float = param("1", "rolling resistance, constant part", ge=0, le=1)
-    f_1: float = param("s/m", "rolling resistance, part that grows with speed", 0.0, ge=0, le=0.1)
+    f_0: float = param("1", "rolling resistance, constant part", ge=0, le=1, tag="road load")
+    f_1: float = param("s/m", "rolling resistance, part that grows with speed", 0.0, ge=0, le=0.1, tag="road load")
 
 
 @dataclass(frozen=True)
@@ -342,9 +342,9 @@ class J2452WheelParameters(AxleParameters):
     pressure: float = param("Pa", "pressure of the tyres", ge=1e4, le=2e6)
     alpha: float = param("1", "exponent of the pressure", ge=-3, le=1)
     beta: float = param("1", "exponent of the load", ge=0.1, le=3)
-    a: float = param("1", "constant coefficient", ge=0, le=100)
-    b: float = param("1", "coefficient of the speed", 0.0, ge=-1, le=1)
-    c: float = param("1", "coefficient of its square", 0.0, ge=-0.1, le=0.1)
+    a: float = param("1", "constant coefficient", ge=0, le=100, tag="road load")
+    b: float = param("1", "coefficient of the speed", 0.0, ge=-1, le=1, tag="road load")
+    c: float = param("1", "coefficient of its square", 0.0, ge=-0.1, le=0.1, tag="road load")
     r_drum: float = param("m", "radius of the drum of the test", ge=0.1, le=1e6)
 
 

@@ -15,19 +15,24 @@ if TYPE_CHECKING:
     from halfshaft.models.vehicle import Vehicle, vehicle_names
     from halfshaft.studies.acceleration import accelerate
     from halfshaft.studies.batch import run_batch
+    from halfshaft.studies.calibration.calibrate import calibrate
+    from halfshaft.studies.calibration.record import Record
     from halfshaft.studies.compare import compare
     from halfshaft.studies.pictures import plot_sweep
     from halfshaft.studies.sweep import sweep
+    from halfshaft.studies.uncertainty import uncertainty
 
 __all__ = [
     "Cycle",
     "HalfshaftError",
     "InputError",
+    "Record",
     "Result",
     "Vehicle",
     "__version__",
     "accelerate",
     "build_fmu",
+    "calibrate",
     "compare",
     "component_names",
     "cycle_names",
@@ -36,6 +41,7 @@ __all__ = [
     "run",
     "run_batch",
     "sweep",
+    "uncertainty",
     "vehicle_names",
 ]
 
@@ -44,10 +50,12 @@ _HOMES = {
     "Cycle": "cosim.cycle",
     "HalfshaftError": "library.base.errors",
     "InputError": "library.base.errors",
+    "Record": "studies.calibration.record",
     "Result": "cosim.result",
     "Vehicle": "models.vehicle",
     "accelerate": "studies.acceleration",
     "build_fmu": "cosim.fmu",
+    "calibrate": "studies.calibration.calibrate",
     "compare": "studies.compare",
     "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",
@@ -56,6 +64,7 @@ _HOMES = {
     "run": "cosim.simulate",
     "run_batch": "studies.batch",
     "sweep": "studies.sweep",
+    "uncertainty": "studies.uncertainty",
     "vehicle_names": "models.vehicle",
 }
 
