@@ -155,6 +155,18 @@ def run(
     return Result(inputs, samples.t, compiled.step.outputs, rows, energies, highest, first, last, made, notes, slopes)
 
 
+def recorded(
+    vehicle: Vehicle, cycle: Cycle, stepper: Stepper, samples: Samples, rows: Array, dt: float, notes: tuple[str, ...] = ()
+) -> Result:
+    """Return a run of a vehicle's step, or of one with the same outputs, of which the rows were made elsewhere."""
+    made = Made(vehicle, cycle, time.time())
+    what = (vehicle.name, vehicle.powertrain, cycle.name)
+    inputs = Inputs(*what, "step", "hybrid", dt, __version__, dict(vehicle.values), hashes=Hashes(made), tags=vehicle.tags)
+    first = _first(stepper, parameters_of(vehicle, stepper.step, samples.v_start), cycle)
+    result = _result(inputs, stepper.step.outputs, samples, rows, _integrals(stepper.step, rows, samples), made, first)
+    return replace(result, notes=(*notes, *result.notes))
+
+
 def _beyond_maps(
     vehicle: Vehicle, tags: Tags, first: Mapping[str, float], highest: Mapping[str, float], last: Mapping[str, float]
 ) -> Iterator[str]:

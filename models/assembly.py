@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, Variable
+from halfshaft.library.base.component import Command, Component, Variable
 from halfshaft.library.base.errors import WiringError
 from halfshaft.library.base.parameters import Relation, bind, numbers, tables
 from halfshaft.library.base.ports import MEANINGS, SHOWN, UNITS
@@ -130,6 +130,8 @@ class Step:
     #: Whether each of the relations, given with its part, is broken by a parameter vector.
     broken: ca.Function
     relations: tuple[tuple[str, Relation], ...]
+    #: Commands by the names of their requests, the last ones, where controls obey them.
+    commands: Mapping[str, Command]
 
     def only(self, outputs: Collection[str]) -> Step:
         """Return the step with some of its outputs alone, in their order; what nobody asks for is not computed."""
@@ -199,8 +201,22 @@ def _described_outputs(model: Model, parts: Mapping[str, Component], states: lis
     return found
 
 
-def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Table]], Mapping[str, ca.Function]] = interpolants) -> Step:
+def assemble(
+    model: Model,
+    title: str = "",
+    functions: Callable[[Mapping[str, Table]], Mapping[str, ca.Function]] = interpolants,
+    free: Collection[str] = (),
+) -> Step:
     """Return the step of a model.
+
+    Parameters
+    ----------
+    model, title
+        What is assembled, and what it is called.
+    functions
+        What makes functions of the tables.
+    free
+        Parts that obey commands in place of their own law: for each of their commands the step has one more request, behind all others.
 
     Raises
     ------
@@ -211,7 +227,7 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
     wired = Wiring(model, model.parts)
     named = all_tables(model)
     symbols = symbolic(model, functions(named))
-    wiring = Wiring(model, symbols.parts)
+    wiring = Wiring(model, symbols.parts, free)
 
     states, known = [], dict[Key, Any]()
     for name, part in symbols.parts.items():
@@ -221,6 +237,9 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
     state = ca.vertcat(*known.values()) if known else ca.SX(0, 1)
     request = {d.name: ca.SX.sym(d.name) for d in REQUESTED}
     known |= {("request", "", name): symbol for name, symbol in request.items()}
+    commands = {f"{name}.{c.name}": c for name, part in symbols.parts.items() if name in free for c in part.commands}
+    commanded = {name: ca.SX.sym(name) for name in commands}
+    known |= {("command", *name.split(".", 1)): symbol for name, symbol in commanded.items()}  # type: ignore[misc]
     known |= {("law of the model", "", "turning"): step_turning, ("law of the model", "", "direction"): StepDirection()}
 
     values = wiring.evaluate(known)
@@ -239,16 +258,17 @@ def assemble(model: Model, title: str = "", functions: Callable[[Mapping[str, Ta
         model.name,
         title or model.name,
         ca.Function(
-            f"{model.name}_step", [state, ca.vertcat(*request.values()), symbols.parameters], [following, shown],
+            f"{model.name}_step", [state, ca.vertcat(*request.values(), *commanded.values()), symbols.parameters], [following, shown],
             ["state", "request", "parameters"], ["next_state", "outputs"],
         ),
         ca.Function(f"{model.name}_start", [symbols.parameters], [ca.SX(first)], ["parameters"], ["state"]),
         tuple(states),
-        REQUESTED,
+        (*REQUESTED, *(Description(n, "1", c.doc, "real", c.lowest, c.lowest, c.highest) for n, c in commands.items())),
         symbols.descriptions,
         tuple(o[0] for o in outputs),
         named,
         tuple(i for i, s in enumerate(s for part in symbols.parts.values() for s in part.states) if s.decision),
         ca.Function(f"{model.name}_broken", [symbols.parameters], [symbols.broken], ["parameters"], ["broken"]),
         symbols.relations,
+        commands,
     )  # fmt: skip

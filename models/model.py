@@ -102,6 +102,11 @@ class Model:
         self._problems.append(f"{name} {said}")
         return None
 
+    @property
+    def commandable(self) -> tuple[str, ...]:
+        """Names of the parts that can obey commands in place of their own law."""
+        return tuple(name for name, part in self.parts.items() if part.commands)
+
     def suffixes(self, c: Connection) -> tuple[str, str]:
         """Return what follows the names of outputs at the load's and at the supply's end, where a part has several ports that way."""
         load = f"_{c.load_port.name}" if sum(other.load == c.load for other in self.connections) > 1 else ""

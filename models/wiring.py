@@ -7,7 +7,7 @@ names of the faces in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any, NamedTuple, get_args
@@ -78,7 +78,7 @@ class Bound:
 
 
 class Wiring:
-    """All faces of a model with their names resolved.
+    """All faces of a model with their names resolved; the parts that are `free` obey commands.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class Wiring:
 
     """
 
-    def __init__(self, model: Model, parts: Mapping[str, Component]) -> None:
+    def __init__(self, model: Model, parts: Mapping[str, Component], free: Collection[str] = ()) -> None:
         self.model, self.parts = model, parts
         problems = model.check()
         self.published = {name: self.signals_of(name, part) for name, part in parts.items()}
@@ -98,7 +98,10 @@ class Wiring:
             self._ends[c.load, c.load_port.name] = self._ends[c.supply, c.supply_port.name] = (c.supply, c.supply_port.name)
         self.read = {name: self._reads(name, part, problems) for name, part in parts.items()}
         self.faces = [self._bind(name, face, problems) for name, part in parts.items() for face in self.faces_of(part)]
-        self.maker = self._makers(problems)
+        commanded = [self._bind(name, face, problems) for name in parts if name in free for face in parts[name].commanded_faces()]
+        # What obeys commands stands in place of the law.
+        self.maker = self._makers(problems) | {key: bound for bound in commanded for key in bound.gives.values()}
+        self.faces += commanded
         self.finish(problems)
         if problems:
             raise WiringError(model.name, problems)
@@ -234,7 +237,7 @@ class Wiring:
         """Check that everything taken, and everything declared, is given."""
         for bound in self.faces:
             for name, key in bound.needs():
-                if key[0] not in ("state", "request", "law of the model", "part", "unknown") and key not in self.maker:
+                if key[0] not in ("state", "request", "command", "law of the model", "part", "unknown") and key not in self.maker:
                     problems.append(f"{bound} takes {name}, but nothing gives {key[1]}.{key[2]} ({key[0]})")
         for name, part in self.parts.items():
             in_plant = {given for face in part.plant_faces() for given in face.gives}
@@ -291,7 +294,7 @@ class Wiring:
         component = self.parts[part]
         ports, laws, states, read = component.ports(), {s.name for s in component.signals}, self.states[part], self.read[part]
         variables = {v.name for v in component.all_variables()}
-        unknowns = {u.name for u in component.unknowns}
+        unknowns, commands = {u.name for u in component.unknowns}, {c.name for c in component.commands}
         absent = {argument for source in component.reads if source.optional for argument in source.arguments}
         for name in face.takes:
             if name.startswith("_"):
@@ -303,6 +306,8 @@ class Wiring:
                 takes[name] = ("state", part, name)
             elif name in REQUESTS:
                 takes[name] = ("request", "", name)
+            elif name in commands:
+                takes[name] = ("command", part, name)
             elif name in unknowns:
                 takes[name] = ("unknown", part, name)
             elif name in variables:
@@ -386,7 +391,8 @@ class Wiring:
                 slips += [f"{bound} returns {name}, which it does not declare to give" for name in surplus]
                 raise WiringError(self.model.name, slips)
             for name, key in bound.gives.items():
-                values.setdefault(key, given[name])
+                if self.maker[key] is bound:
+                    values.setdefault(key, given[name])
             done.add(id(bound))
 
         if wanted is None:

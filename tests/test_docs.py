@@ -50,6 +50,7 @@ PROGRAMS = {
     "calibration": 6,
     "tests": 5,
     "gradients": 2,
+    "smooth": 2,
 }
 
 

@@ -14,6 +14,9 @@ follows from what it asks for; where several could answer, the powertrain says w
 
 A face gives ports, variables, signals, private hand-overs, and ``next_x`` for each of its states ``x``.
 
+A control's laws can be left out for *commands* from outside: a face marked `commanded` gives from the component's `commands` what a
+face of the law gives otherwise.  An optimum is sought so, or a control tried that is no component.
+
 A component may also have a method ``audit``: from what a run recorded at its ports, it tells how far the component's own
 laws are from it, each by name as a power [W] or as `Assumed`.  `halfshaft.cosim.audit` says what the arguments are.
 
@@ -69,6 +72,24 @@ class State(NamedTuple):
     decision: bool = False
     neutral: float | None = None
     tag: Tag = ""
+
+
+class Command(NamedTuple):
+    """A decision that may come from outside in place of a control's law.
+
+    A ``flag`` is 0 or 1, a ``step`` a whole number, a ``share`` any number from `lowest` to `highest`; kinks of what follows from a share
+    lie at whole numbers.  ``needs`` names the flag without which it is of no effect.  ``memory`` is the state that a step moves; ``lasts``
+    says of a share that its effect outlasts the step, as a speed of a rotor does.
+    """
+
+    name: str
+    doc: str
+    kind: Literal["flag", "step", "share"]
+    lowest: float = 0.0
+    highest: float = 1.0
+    needs: str = ""
+    memory: str = ""
+    lasts: bool = False
 
 
 class Signal(NamedTuple):
@@ -167,6 +188,16 @@ def face(*gives: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return mark
 
 
+def commanded(*gives: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Mark a method as a face that gives from commands what the law gives otherwise; only a step with free commands has it."""
+
+    def mark(method: Callable[..., Any]) -> Callable[..., Any]:
+        method._commanded_gives = gives  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
 def plant(*gives: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Mark a method as a face of the forward-facing model.
 
@@ -205,6 +236,8 @@ class Component:
     signals: ClassVar[tuple[Signal, ...]] = ()
     #: What it reads of other parts.
     reads: ClassVar[tuple[From, ...]] = ()
+    #: Decisions that may come from outside in place of its law.
+    commands: ClassVar[tuple[Command, ...]] = ()
     #: Unknowns of the forward-facing model that it brings.
     unknowns: ClassVar[tuple[Unknown, ...]] = ()
 
@@ -222,14 +255,18 @@ class Component:
         """Return the declared variables and those that a subclass derives."""
         return self.variables
 
-    def faces(self) -> Iterator[Face]:
+    def faces(self, mark: str = "_gives") -> Iterator[Face]:
         """Yield the faces."""
         for name in dir(type(self)):
-            gives = getattr(getattr(type(self), name), "_gives", None)
+            gives = getattr(getattr(type(self), name), mark, None)
             if gives is not None:
                 method = getattr(self, name)
                 takes, optional = arguments(method)
                 yield Face(name, takes, optional, gives, method)
+
+    def commanded_faces(self) -> Iterator[Face]:
+        """Yield the faces that obey commands."""
+        return self.faces("_commanded_gives")
 
     def plant_faces(self) -> Iterator[Face]:
         """Yield the faces of the forward-facing model, laws included."""

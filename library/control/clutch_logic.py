@@ -83,7 +83,7 @@ class ClutchControl(Component):
     )
 
     @staticmethod
-    def commands(clutch: ClutchLogic, on: Expr, omega: Expr) -> Mapping[str, Any]:
+    def decision(clutch: ClutchLogic, on: Expr, omega: Expr) -> Mapping[str, Any]:
         """Return what a face gives that decides on clutch and engine; `omega` is the speed of an engine that runs."""
         return {
             "clutch_state": clutch.state,
@@ -96,5 +96,5 @@ class ClutchControl(Component):
         }
 
 
-#: Names of what `ClutchControl.commands` gives.
+#: Names of what `ClutchControl.decision` gives.
 COMMANDS = ("clutch_state", "clutch_open", "clutch_slipping", "engine_on", "omega_command", "next_clutch_before", "next_on_before")

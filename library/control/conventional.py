@@ -71,4 +71,4 @@ class ConventionalControl(ClutchControl):
         on = ca.logic_and(key_on, ca.logic_or(p.idle_at_stop, ca.logic_not(clutch.is_open)))
         on = where(decided, on_before, ca.logic_or(on, ca.logic_and(shifting, on_before)))
         omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
-        return self.commands(clutch, on, omega)
+        return self.decision(clutch, on, omega)

@@ -42,7 +42,7 @@ class FuelCellControl(PowerFollower):
     def supply(self, P_bus: Expr, fuel_cell: FuelCell) -> Mapping[str, Any]:
         """Return the power that supplies the bus."""
         P = fuel_cell.P_largest
-        return {"_supply": Supply(ca.fmax(P_bus, 0), self.p.P_min_share * P, self.p.P_max_share * P)}
+        return {"_supply": Supply(ca.fmax(P_bus, 0), self.p.P_min_share * P, self.p.P_max_share * P, P)}
 
     @face("converter_on", "P_converter", "P_converter_request")
     def operating_point(self, _demand: Demand, _P: Expr, _on: Expr) -> Mapping[str, Any]:

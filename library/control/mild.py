@@ -25,7 +25,7 @@ from typing import Any
 
 import casadi as ca
 
-from halfshaft.library.base.component import From, State, Variable, face
+from halfshaft.library.base.component import Command, From, State, Variable, commanded, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, Relation, param
 from halfshaft.library.base.ports import Expr
@@ -82,6 +82,10 @@ class MildControl(ClutchControl):
         *ClutchControl.variables,
         Variable("tau_machine", "N.m", "torque at the crankshaft that is wanted of the machine", signal=True),
     )
+    commands = (
+        Command("run", "whether the engine runs", "flag"),
+        Command("share", "torque that is wanted of the machine over its largest", "share", lowest=-1.0, needs="run"),
+    )
     reads = (
         From("body", v="m/s", a_request="m/s^2"),
         From("wheel", v_limited="m/s"),
@@ -104,45 +108,70 @@ class MildControl(ClutchControl):
         p = self.p
         return {"omega_idle": p.omega_idle, "omega_launch": ca.fmax(p.launch_share * engine.omega_max, 1.5 * p.omega_idle)}
 
+    @face("_wanted")
+    def want(self, tau_clutch: Expr, shifting: Expr, v_limited: Expr, soc_before: Expr, on_before: Expr) -> Mapping[str, Any]:
+        """Say whether the engine should run."""
+        p = self.p
+        wanted = ca.logic_or(ca.logic_or(tau_clutch > ASKED, v_limited >= p.v_decel), soc_before < p.soc_low)
+        return {"_wanted": ca.logic_or(wanted, ca.logic_and(shifting, on_before))}
+
+    @commanded("_wanted")
+    def obey(self, run: Expr) -> Mapping[str, Any]:
+        """Take from outside whether the engine runs."""
+        return {"_wanted": run}
+
     @face(
         *COMMANDS,
         "next_starting",
     )  # fmt: skip
     def decide(
-        self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, v_limited: Expr, soc_before: Expr,
-        key_on: Expr, omega_launch: Expr, engine: Engine, decided: Expr, clutch_before: Expr, on_before: Expr, starting: Expr,
+        self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, key_on: Expr, omega_launch: Expr,
+        engine: Engine, decided: Expr, clutch_before: Expr, on_before: Expr, starting: Expr, _wanted: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Decide on clutch and engine for this step."""
         p = self.p
-        wanted = ca.logic_or(ca.logic_or(tau_clutch > ASKED, v_limited >= p.v_decel), soc_before < p.soc_low)
-        wanted = ca.logic_or(wanted, ca.logic_and(shifting, on_before))
-        on = where(decided, on_before, ca.logic_and(key_on, wanted))
+        on = where(decided, on_before, ca.logic_and(key_on, _wanted))
         clutch = clutch_logic(
             tau=tau_clutch, omega=omega_clutch, omega_estimate=omega_input_estimate, omega_idle=p.omega_idle, omega_launch=omega_launch,
             open_when_braking=p.open_when_braking, opened=ca.logic_or(shifting, ca.logic_not(on)), before=clutch_before, decided=decided,
         )  # fmt: skip
         omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle, engine.omega_max)
         return {
-            **self.commands(clutch, on, omega),
+            **self.decision(clutch, on, omega),
             "next_starting": where(decided, starting, ca.logic_and(on, ca.logic_not(on_before))),
         }
 
-    @face("tau_machine")
-    def operate(
-        self, tau_clutch: Expr, omega_command: Expr, engine_on: Expr, clutch_open: Expr, gear: Expr, v_limited: Expr, a_request: Expr,
-        soc_before: Expr, omega_own: Expr, engine: Engine, motor: Motor, n_motor: Expr, dt: Expr, on_before: Expr, decided: Expr,
-        starting: Expr,
+    def largest(self, omega_command: Expr, n_motor: Expr, motor: Motor) -> Expr:
+        """Return the largest torque that the machine gives for long at the crankshaft [N.m]."""
+        return n_motor * motor.tau_envelope(n_motor * omega_command)
+
+    @face("_driving")
+    def drive(
+        self, tau_clutch: Expr, omega_command: Expr, clutch_open: Expr, gear: Expr, v_limited: Expr, a_request: Expr, soc_before: Expr,
+        motor: Motor, n_motor: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
-        """Choose the machine's torque; it follows the request also where the decisions stand."""
+        """Choose the torque of a machine that need not crank; it follows the request also where the decisions stand."""
         p, tau = self.p, where(clutch_open, 0, tau_clutch)
         omega = ca.fmax(omega_command, 1.0)
-        highest = n_motor * motor.tau_envelope(n_motor * omega_command)
+        highest = self.largest(omega_command, n_motor, motor)
         fade = clip((soc_before - p.soc_low) / (p.soc_assist - p.soc_low), 0, 1)
         asked = ca.logic_and(ca.logic_and(tau >= p.tau_assist, gear > 1.5), ca.logic_and(a_request >= p.a_assist, v_limited >= p.v_assist))
         help = fade * ca.fmin(p.share_low * highest + p.slope * (tau - p.tau_assist), p.share_high * highest)
         full = fade * ca.fmin(highest, p.P_full / omega)
         regen = where(tau <= p.tau_regen, p.slope_regen * (tau - p.tau_regen), -p.P_alternator / omega)
-        driving = where(tau > p.tau_full, full, where(asked, help, where(soc_before < p.soc_high, regen, 0)))
-        crank = clip(engine.p.J * (omega_command - omega_own) / dt, 0, highest)
+        return {"_driving": where(tau > p.tau_full, full, where(asked, help, where(soc_before < p.soc_high, regen, 0)))}
+
+    @commanded("_driving")
+    def share_out(self, share: Expr, omega_command: Expr, clutch_open: Expr, motor: Motor, n_motor: Expr) -> Mapping[str, Any]:
+        """Take from outside what the machine is asked for; behind an open clutch it rests."""
+        return {"_driving": where(clutch_open, 0, share * self.largest(omega_command, n_motor, motor))}
+
+    @face("tau_machine")
+    def operate(
+        self, _driving: Expr, omega_command: Expr, engine_on: Expr, omega_own: Expr, engine: Engine, motor: Motor, n_motor: Expr, dt: Expr,
+        on_before: Expr, decided: Expr, starting: Expr,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Return the machine's torque: first it cranks the engine."""
+        crank = clip(engine.p.J * (omega_command - omega_own) / dt, 0, self.largest(omega_command, n_motor, motor))
         begins = where(decided, starting, ca.logic_and(engine_on, ca.logic_not(on_before)))
-        return {"tau_machine": where(begins, crank, where(engine_on, driving, 0))}
+        return {"tau_machine": where(begins, crank, where(engine_on, _driving, 0))}

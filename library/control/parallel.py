@@ -31,7 +31,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from halfshaft.library.base.component import From, Signal, State, Variable, face
+from halfshaft.library.base.component import Command, From, Signal, State, Variable, commanded, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, Relation, param
 from halfshaft.library.base.ports import Expr
@@ -112,6 +112,10 @@ class _ParallelControl(ClutchControl):
         *ClutchControl.signals,
         Signal("upshift_allowed", "1", "whether a gear may be raised"),
     )
+    commands = (
+        Command("run", "whether the engine runs", "flag"),
+        Command("share", "engine torque: 0 none, 1 what is asked for, 2 the largest", "share", highest=2.0, needs="run"),
+    )
     reads = (
         From("body", v="m/s"),
         From("wheel", v_limited="m/s"),
@@ -154,16 +158,12 @@ class _ParallelControl(ClutchControl):
         fast = n_motor * ratio_before * omega_gearbox > NEAR_TOP * motor.omega_max
         return {"upshift_allowed": ca.logic_or(ca.logic_or(pulls, fast), on_before)}
 
-    @face(
-        *COMMANDS,
-        "next_P_before", "next_P_before_2", "next_P_before_3", "next_steps_before",
-    )  # fmt: skip
-    def decide(
-        self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, v_limited: Expr, soc_before: Expr,
-        P_battery_max: Expr, key_on: Expr, omega_launch: Expr, engine: Engine, decided: Expr, clutch_before: Expr, on_before: Expr,
-        P_before: Expr, P_before_2: Expr, P_before_3: Expr, steps_before: Expr,
+    @face("_wanted")
+    def want(
+        self, tau_clutch: Expr, omega_clutch: Expr, shifting: Expr, v_limited: Expr, soc_before: Expr, P_battery_max: Expr, engine: Engine,
+        on_before: Expr, P_before: Expr, P_before_2: Expr, P_before_3: Expr, steps_before: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
-        """Decide on clutch and engine for this step."""
+        """Say whether the engine should run."""
         p = self.p
         turning = ca.logic_and(ca.logic_or(tau_clutch > ASKED, v_limited > p.v_decel), omega_clutch > p.omega_idle)
         share = ca.fmin((soc_before - p.soc_low) / (p.soc_high - p.soc_low), 1)
@@ -172,8 +172,35 @@ class _ParallelControl(ClutchControl):
         runs = ca.logic_and(ca.logic_or(turning, p.idle_at_stop), fast)
         wanted = ca.logic_and(runs, self.worth_it(tau_clutch, omega_clutch, soc_before, engine))
         mean = (P_before + P_before_2 + P_before_3) / ca.fmax(steps_before, 1)
-        wanted = ca.logic_or(ca.logic_or(wanted, ca.logic_and(shifting, on_before)), mean >= P_battery_max)
-        on = where(decided, on_before, ca.logic_and(key_on, wanted))
+        return {"_wanted": ca.logic_or(ca.logic_or(wanted, ca.logic_and(shifting, on_before)), mean >= P_battery_max)}
+
+    @commanded("_wanted")
+    def obey(self, run: Expr) -> Mapping[str, Any]:
+        """Take from outside whether the engine runs."""
+        return {"_wanted": run}
+
+    @commanded("tau_command")
+    def share_out(
+        self, share: Expr, tau_clutch: Expr, omega_command: Expr, clutch_open: Expr, engine_on: Expr, engine: Engine
+    ) -> Mapping[str, Any]:
+        """Take from outside what the engine is asked for."""
+        highest = engine.tau_envelope(omega_command)
+        asked = clip(where(clutch_open, 0, tau_clutch), 0, highest)
+        tau = clip(share, 0, 1) * asked + clip(share - 1, 0, 1) * (highest - asked)
+        return {"tau_command": where(engine_on, tau, 0)}
+
+    @face(
+        *COMMANDS,
+        "next_P_before", "next_P_before_2", "next_P_before_3", "next_steps_before",
+    )  # fmt: skip
+    def decide(
+        self, tau_clutch: Expr, omega_clutch: Expr, omega_input_estimate: Expr, shifting: Expr, key_on: Expr, omega_launch: Expr,
+        engine: Engine, decided: Expr, clutch_before: Expr, on_before: Expr, P_before: Expr, P_before_2: Expr, P_before_3: Expr,
+        steps_before: Expr, _wanted: Expr,
+    ) -> Mapping[str, Any]:  # fmt: skip
+        """Decide on clutch and engine for this step."""
+        p = self.p
+        on = where(decided, on_before, ca.logic_and(key_on, _wanted))
         clutch = clutch_logic(
             tau=tau_clutch, omega=omega_clutch, omega_estimate=omega_input_estimate, omega_idle=p.omega_idle, omega_launch=omega_launch,
             open_when_braking=p.open_when_braking, opened=ca.logic_or(shifting, ca.logic_not(on)), before=clutch_before, decided=decided,
@@ -181,7 +208,7 @@ class _ParallelControl(ClutchControl):
         omega = clip(where(clutch.slipping, omega_launch, omega_clutch), p.omega_idle * p.idle_at_stop, engine.omega_max)
         P = where(shifting, P_before, tau_clutch * omega_clutch)
         return {
-            **self.commands(clutch, on, omega),
+            **self.decision(clutch, on, omega),
             "next_P_before": where(decided, P_before, P),
             "next_P_before_2": where(decided, P_before_2, P_before),
             "next_P_before_3": where(decided, P_before_3, P_before_2),

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, State, face
+from halfshaft.library.base.component import Command, Component, From, State, commanded, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, Relation, param
 from halfshaft.library.base.ports import Expr
@@ -48,11 +48,12 @@ class PowerFollowerParameters(Parameters):
 
 
 class Supply(NamedTuple):
-    """Power of the source that would supply the bus, and the ends of its normal range."""
+    """Power of the source that would supply the bus, the ends of its normal range, and its largest."""
 
     P: Expr
     P_min: Expr
     P_max: Expr
+    P_largest: Expr
 
 
 class Demand(NamedTuple):
@@ -75,6 +76,10 @@ class PowerFollower(Component):
         State("part_time", "s", "time in the present part of the average"),
         State("part_energy", "J", "demand in the present part of the average"),
         *(State(f"part_{i}", "J", f"demand in the part {i} s ago") for i in range(1, PARTS + 1)),
+    )
+    commands: ClassVar[tuple[Command, ...]] = (
+        Command("run", "whether the source runs", "flag"),
+        Command("share", "power of the source over its largest", "share", needs="run"),
     )
     reads: ClassVar[tuple[From, ...]] = (From("bus", P_bus="W"), From("battery", soc_before="1", P_battery_max="W", P_battery_min="W"))
 
@@ -138,3 +143,9 @@ class PowerFollower(Component):
         on = ca.logic_and(ca.logic_or(wanted, _demand.short), ca.logic_not(_demand.full))
         on = ca.logic_and(key_on, ca.logic_or(on, p.always_on))
         return {"_on": on, "next_on_before": on, "next_t_off": where(ca.logic_and(on_before, ca.logic_not(on)), -1, off)}
+
+    @commanded("_on", "next_on_before", "_P")
+    def obey(self, key_on: Expr, run: Expr, share: Expr, _supply: Supply) -> Mapping[str, Any]:
+        """Take when the source runs and at what power from outside."""
+        on = ca.logic_and(key_on, run)
+        return {"_on": on, "next_on_before": on, "_P": share * _supply.P_largest}

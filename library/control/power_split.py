@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
+from halfshaft.library.base.component import Command, Component, From, Signal, State, Variable, commanded, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.parameters import Parameters, param, table
 from halfshaft.library.base.ports import Expr
@@ -82,6 +82,10 @@ class PowerSplitControl(Component):
         Variable("tau_command", "N.m", "commanded engine torque", signal=True),
         Variable("P_engine_request", "W", "engine power that demand and charging ask for"),
     )
+    commands = (
+        Command("run", "whether the engine runs", "flag"),
+        Command("share", "engine power over the largest", "share", needs="run", lasts=True),
+    )
     signals = (Signal("omega_idle", "rad/s", "idling speed"), Signal("clutch_open", "1", "whether the engine only spins"))
     reads = (
         From("body", v="m/s"),
@@ -98,20 +102,31 @@ class PowerSplitControl(Component):
         """Say that the engine is never held at idling speed by itself, and never parted from the gear."""
         return {"omega_idle": 0.0, "clutch_open": 0.0}
 
-    @face("engine_on", "engine_full", "P_engine_request", "next_on_before", "next_full_before", "next_P_before", "next_t_off", "_decision")
-    def decide(
-        self, tau_ring: Expr, omega_ring: Expr, v: Expr, soc_before: Expr, U_supply: Expr, key_on: Expr, dt: Expr, decided: Expr,
-        on_before: Expr, full_before: Expr, P_before: Expr, t_off: Expr,
-    ) -> Mapping[str, Any]:  # fmt: skip
-        """Decide whether the engine runs, and for which power."""
+    @face("_wanted")
+    def want(
+        self, tau_ring: Expr, omega_ring: Expr, v: Expr, soc_before: Expr, U_supply: Expr, on_before: Expr, t_off: Expr
+    ) -> Mapping[str, Any]:
+        """Say whether the engine should run, and for which power."""
         p = self.p
         P_ring = tau_ring * omega_ring
         needed = ca.logic_or(ca.logic_or(P_ring >= p.P_on, v >= p.v_on), soc_before <= p.soc_on)
         may = ca.logic_or(on_before, t_off >= p.t_off_min - 1e-9)
         P_charge = p.I_charge * (p.soc_target - soc_before) * U_supply / p.eta_charge
-        on = where(decided, on_before, ca.logic_and(key_on, ca.logic_and(needed, may)))
-        full = where(decided, full_before, ca.logic_and(on, P_ring > p.P_full))
-        P = where(decided, P_before, where(on, P_ring + P_charge, 0))
+        return {"_wanted": Decision(ca.logic_and(needed, may), P_ring > p.P_full, P_ring + P_charge)}
+
+    @commanded("_wanted")
+    def obey(self, run: Expr, share: Expr, engine: Engine) -> Mapping[str, Any]:
+        """Take from outside when the engine runs and for which power."""
+        return {"_wanted": Decision(run, 0, share * engine.P_largest)}
+
+    @face("engine_on", "engine_full", "P_engine_request", "next_on_before", "next_full_before", "next_P_before", "next_t_off", "_decision")
+    def decide(
+        self, _wanted: Decision, key_on: Expr, dt: Expr, decided: Expr, on_before: Expr, full_before: Expr, P_before: Expr, t_off: Expr
+    ) -> Mapping[str, Any]:
+        """Decide for this step."""
+        on = where(decided, on_before, ca.logic_and(key_on, _wanted.on))
+        full = where(decided, full_before, ca.logic_and(on, _wanted.full))
+        P = where(decided, P_before, where(on, _wanted.P, 0))
         return {
             "engine_on": on,
             "engine_full": full,

@@ -56,6 +56,7 @@ class SeriesControl(PowerFollower):
         Variable("P_engine_request", "W", "engine power that demand and charging ask for"),
     )
     signals = (Signal("omega_idle", "rad/s", "idling speed"),)
+    commands = tuple(c._replace(lasts=c.kind == "share") for c in PowerFollower.commands)
     reads = (*PowerFollower.reads, From("engine", Engine), From("generator", Generator))
 
     def start(self) -> Mapping[str, Any]:
@@ -85,7 +86,7 @@ class SeriesControl(PowerFollower):
         omega = self.speed_of(P, engine)
         eta = generator.power(P / omega, omega) / P
         P = where(P_bus > 0, P / ca.fmax(eta, 1e-6), 0)
-        return {"_supply": Supply(P, self.p.P_min_share * engine.P_largest, self.p.P_max_share * engine.P_largest)}
+        return {"_supply": Supply(P, self.p.P_min_share * engine.P_largest, self.p.P_max_share * engine.P_largest, engine.P_largest)}
 
     @face(
         "engine_on", "clutch_open", "omega_command", "tau_genset", "omega_genset", "P_engine_request", "next_t_on", "next_turned_before",

@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from halfshaft.library.base.component import Component, From, Signal, State, Variable, face
+from halfshaft.library.base.component import Command, Component, From, Signal, State, Variable, commanded, face
 from halfshaft.library.base.expressions import clip, where
 from halfshaft.library.base.interfaces import Machine
 from halfshaft.library.base.parameters import Parameters, param, params, table
@@ -97,6 +97,9 @@ class Shift(Component):
         Variable("shifting", "1", "whether a shift is under way", signal=True, kind="flag"),
         Variable("load", "1", "estimated load of the machine"),
     )
+    commands: ClassVar[tuple[Command, ...]] = (
+        Command("change", "change of the gear, as far as the times between changes allow", "step", lowest=-1.0, memory="gear_before"),
+    )
     signals = (
         Signal("omega_input_estimate", "rad/s", "estimated input speed, were the gear kept"),
         Signal("ratio_before", "1", "ratio of the gear so far"),
@@ -147,19 +150,28 @@ class Shift(Component):
         load = where(slip_limited, 1, clip(tau / ca.fmax(machine.tau_envelope(omega), 1e-9), 0, 1))
         return {"load": load, "omega_input_estimate": omega}
 
+    @face("_lines")
+    def compare(self, load: Expr, omega_input_estimate: Expr, gear_before: Expr, upshift_allowed: Expr = 1.0) -> Mapping[str, Any]:
+        """Say on which side of the lines the load is."""
+        omega = omega_input_estimate
+        above = ca.logic_and(load < self.p.up(omega, gear_before), upshift_allowed)
+        return {"_lines": (above, load > self.p.down(omega, gear_before))}
+
+    @commanded("_lines")
+    def obey(self, change: Expr) -> Mapping[str, Any]:
+        """Take from outside whether to shift."""
+        return {"_lines": (change > 0.5, change < -0.5)}
+
     @face("gear", "ratio", "shifting", "next_gear_before", "next_raised", "next_t_since_shift")
     def control(
-        self, load: Expr, omega_input_estimate: Expr, ratios: tuple[Expr, ...], dt: Expr, gear_before: Expr, raised: Expr,
-        t_since_shift: Expr, decided: Expr, upshift_allowed: Expr = 1.0,
+        self, _lines: tuple[Expr, Expr], ratios: tuple[Expr, ...], dt: Expr, gear_before: Expr, raised: Expr, t_since_shift: Expr,
+        decided: Expr,
     ) -> Mapping[str, Any]:  # fmt: skip
         """Choose the gear for this step."""
-        omega = omega_input_estimate
         free = t_since_shift >= self.p.t_hold - 1e-6
         kept = ca.logic_and(raised, t_since_shift < self.p.t_raised - 1e-6)
-        up = ca.logic_and(free, load < self.p.up(omega, gear_before))
-        down = ca.logic_and(ca.logic_and(free, load > self.p.down(omega, gear_before)), ca.logic_not(kept))
-        up = ca.logic_and(up, upshift_allowed)
-        change = where(decided, 0, where(up, 1, where(down, -1, 0)))
+        up, down = (ca.logic_and(free, wanted) for wanted in _lines)
+        change = where(decided, 0, where(up, 1, where(ca.logic_and(down, ca.logic_not(kept)), -1, 0)))
         gear = clip(gear_before + change, 1, len(ratios))
         since = where(decided, t_since_shift, where(gear != gear_before, 0, t_since_shift + dt))
         return {

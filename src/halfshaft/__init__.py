@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from halfshaft.studies.calibration.calibrate import calibrate
     from halfshaft.studies.calibration.record import Record
     from halfshaft.studies.compare import compare
+    from halfshaft.studies.optimal import optimal
     from halfshaft.studies.pictures import plot_sweep
     from halfshaft.studies.size import size
     from halfshaft.studies.sweep import sweep
@@ -37,6 +38,7 @@ __all__ = [
     "compare",
     "component_names",
     "cycle_names",
+    "optimal",
     "plot_run",
     "plot_sweep",
     "run",
@@ -61,6 +63,7 @@ _HOMES = {
     "compare": "studies.compare",
     "component_names": "library.files.component_file",
     "cycle_names": "cosim.cycle",
+    "optimal": "studies.optimal",
     "plot_run": "cosim.plot",
     "plot_sweep": "studies.pictures",
     "run": "cosim.simulate",

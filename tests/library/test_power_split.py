@@ -85,7 +85,7 @@ class Control:
             **self.known, **self.state, "tau_ring": P / omega, "omega_ring": omega, "omega_ring_turning": omega, "v": v, "soc_before": soc,
             "U_supply": U, "omega_own": self.own, "decided": decided,
         }  # fmt: skip
-        for face in ("decide", "operate"):
+        for face in ("want", "decide", "operate"):
             run = next(f for f in self.part.faces() if f.name == face)
             known |= run.run(**{n: known[n] for n in run.takes})
         self.state = {name: float(known[f"next_{name}"]) for name in self.state}

@@ -29,7 +29,7 @@ class Box:
     def step(self, omega_engine, load):
         ratio = RATIOS[int(self.state["gear_before"]) - 1]
         given = in_turn(
-            self.part, "demand", "control", tau_gearbox=100 * load * ratio,
+            self.part, "demand", "compare", "control", tau_gearbox=100 * load * ratio,
             omega_gearbox=omega_engine / ratio, slip_limited=0.0, trace_missed=0.0, torque_ratio=1.0,
             ratios=RATIOS, machine=MACHINE, dt=self.dt, decided=0.0, omega_estimate=0.0, **self.state,
         )  # fmt: skip
