@@ -126,9 +126,15 @@ def figure_gradient(
     vehicle: Vehicle, cycle: Cycle, names: Sequence[str], *, mode: Mode = "hybrid", dt: float = 1.0
 ) -> dict[str, dict[str, float]]:
     """Return the derivatives of the main figures of a run, by the figures' names and those of the numbers."""
-    step = stepper_of(vehicle).step
-    found = slopes(vehicle, cycle, names, list(needs(step)), mode=mode, dt=dt)
-    duration, gradient = float(found.time[-1]) - float(cycle.time[0]), dict[str, dict[str, float]]()
+    found = slopes(vehicle, cycle, names, list(needs(stepper_of(vehicle).step)), mode=mode, dt=dt)
+    return figure_slopes(vehicle, cycle, found)[1]
+
+
+def figure_slopes(vehicle: Vehicle, cycle: Cycle, found: Slopes) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Return the main figures of a run with its derivatives, where these are of all that figures need; and the figures' derivatives."""
+    step, names, gradient = stepper_of(vehicle).step, found.names, dict[str, dict[str, float]]()
+    duration, rated = float(found.time[-1]) - float(cycle.time[0]), {role: p.ratings() for role, p in vehicle.parameters.items()}
+    values = figures(step, lambda *what: np.array([found.values[what]]), vehicle.values, rated, duration)
     for near in _nearby(vehicle, names):
 
         def get(output: str, how: str, near: _Near = near) -> Array:
@@ -137,9 +143,10 @@ def figure_gradient(
 
         ratings = {role: p.ratings() for role, p in near.fleet.parameters.items()}
         for figure, x in figures(step, get, near.fleet.values, ratings, duration).items():
-            whole = np.broadcast_to(x, len(near.of) * len(PLACES))
-            gradient.setdefault(figure, {}).update(zip([names[i] for i in near.of], near.slope(whole).tolist(), strict=True))
-    return {figure: {name: of[name] for name in names} for figure, of in gradient.items()}
+            each = np.broadcast_to(x, len(near.of) * len(PLACES))
+            gradient.setdefault(figure, {}).update(zip([names[i] for i in near.of], near.slope(each).tolist(), strict=True))
+    whole = {figure: {name: of[name] for name in names} for figure, of in gradient.items()}
+    return {figure: float(np.ravel(x)[0]) for figure, x in values.items()}, whole
 
 
 def value_of(vehicle: Vehicle, name: str) -> float:

@@ -132,8 +132,10 @@ def starts_from_scan(bench: Bench, *, starts: int, seed: int) -> list[Array]:
     return [bench.scaled(nearest.x)] if nearest.worst <= ROUNDING else []
 
 
-def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) -> None:
+def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None], widths: tuple[float, ...] = ()) -> None:
     """Try vehicles until the best is found; what came of it is in the record of the bench, and each run of IPOPT is noted.
+
+    With widths the cycle is first that of the smooth step with these, one after the other, its decisions those where each begins.
 
     Raises
     ------
@@ -149,10 +151,15 @@ def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) 
     try:
         for point in points:
             bench.stage = "ipopt"
-            ends.append(solve(bench, point, iterations=ITERATIONS, cycles=CYCLES))
-            note(ends[-1])
-            if ends[-1].status == INTERRUPTED:
-                raise KeyboardInterrupt
+            for width in (*widths, 0.0):
+                bench.smooth(point, width)
+                solved = solve(bench, point, iterations=ITERATIONS, cycles=CYCLES // (len(widths) + 1))
+                note(solved)
+                point = solved.u
+                if not width or solved.status == INTERRUPTED:
+                    ends.append(solved)
+                if solved.status == INTERRUPTED:
+                    raise KeyboardInterrupt
         done: list[Array] = []
         for solved in _promising(ends):
             if all(np.linalg.norm(solved.u - u) >= APART for u in done):
@@ -161,6 +168,7 @@ def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) 
                 search(bench, solved.u)
                 done.append(solved.u)
     except KeyboardInterrupt:
+        bench.smooth(points[0], 0.0)
         if bench.stage == "ipopt":
             for solved in _promising(ends)[:1]:
                 bench.stage = "exact"
