@@ -163,7 +163,8 @@ class DriveProbe(Probe):
 
     def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
         """Return figures with their gradients by the tangents of a run."""
-        values, gradients = _run(vehicle, names, np.eye(len(names)), self.task, *self.forms[:1] or (None,), self.width)
+        form = self.forms[0] if self.forms else None
+        values, gradients = _run(vehicle, names, np.eye(len(names)), self.task, form, self.width)
         if not all(figure in values and figure in gradients for figure in wanted):
             return None
         return Sloped({figure: values[figure] for figure in wanted}, {figure: gradients[figure] for figure in wanted}, 1)
