@@ -85,12 +85,7 @@ def size(
         If it was interrupted before any vehicle was tried.
 
     """
-    wrong = [] if method in METHODS else [f"method = {method!r}, must be {' or '.join(METHODS)}"]
-    for name, x, most in (("starts", starts, MOST_STARTS), ("evaluations", evaluations, MOST_EVALUATIONS)):
-        if not (number(x) == int(number(x) if math.isfinite(number(x)) else 0) and 1 <= x <= most):
-            wrong.append(f"{name} = {x!r}, must be a whole number from 1 to {most}")
-    wrong += [f"width {x!r}, must be > 0 and <= {WIDEST}" for x in widths if not 0 < number(x) <= WIDEST]
-    if wrong:
+    if wrong := option_problems(method, starts, evaluations, widths):
         raise InputError("size", wrong)
     if isinstance(problem, str | Path):
         problem = read_problem(problem)
@@ -111,6 +106,15 @@ def size(
     total = Effort(*(sum(x) for x in zip(*((o.effort.cycles, o.effort.slopes, o.effort.limits) for o in found), strict=True)))
     status = found[-1].status if found[-1].status == "interrupted" else best.status
     return replace(best, status=status, effort=total, notes=(*best.notes, f"the goal by parts: {'; '.join(others)}"))
+
+
+def option_problems(method: str, starts: int, evaluations: int, widths: tuple[float, ...]) -> list[str]:
+    """Return what is wrong with options of a sizing."""
+    wrong = [] if method in METHODS else [f"method = {method!r}, must be {' or '.join(METHODS)}"]
+    for name, x, most in (("starts", starts, MOST_STARTS), ("evaluations", evaluations, MOST_EVALUATIONS)):
+        if not (isinstance(x, int) and 1 <= x <= most):
+            wrong.append(f"{name} = {x!r}, must be a whole number from 1 to {most}")
+    return wrong + [f"width = {x!r}, must be > 0 and <= {WIDEST:g}" for x in widths if not 0 < number(x) <= WIDEST]
 
 
 def sized(bound: Bound, *, starts: int = STARTS, seed: int = 0, widths: tuple[float, ...] = ()) -> Optimum:

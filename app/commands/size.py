@@ -66,7 +66,7 @@ def _size(
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page of HTML.")] = None,
     as_json: Json = False,
 ) -> None:
-    from halfshaft.studies.size import measured_prices, size
+    from halfshaft.studies.size import measured_prices, option_problems, size
     from halfshaft.studies.sizing.problem_file import read_problem
 
     checks = Checks()
@@ -76,6 +76,7 @@ def _size(
         if path is not None and path.suffix != end:
             checks.problem(f"{option} {path}: must end in {end}")
     checks.picture(plot, "--plot")
+    checks.problem(*option_problems(method, starts, evaluations, tuple(width or ())))
     front = _front(pareto, checks) if pareto else None
     if front:
         alone = (("--method", method != "ipopt"), ("--out", out), ("--report", report), ("--check", check))
