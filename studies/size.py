@@ -102,7 +102,7 @@ def size(
     best = min(found, key=lambda o: (not o.holds, o.goal if o.holds else o.tried[-1].worst))
     if len(found) == 1:
         return best
-    others = [f"{', '.join(o.bound.parts.values())}: {f'{o.goal:.5g}' if o.holds else o.status}" for o in found]
+    others = [f"{', '.join(o.bound.parts.values())}: {f'{o.goal:.5g}' if o.holds else ' '.join((o.status, *o.notes[:1]))}" for o in found]
     total = Effort(*(sum(x) for x in zip(*((o.effort.cycles, o.effort.slopes, o.effort.limits) for o in found), strict=True)))
     status = found[-1].status if found[-1].status == "interrupted" else best.status
     return replace(best, status=status, effort=total, notes=(*best.notes, f"the goal by parts: {'; '.join(others)}"))
