@@ -25,7 +25,7 @@ from halfshaft.cosim.ways import Mode as Mode
 from halfshaft.fmu_build.code import step_code
 from halfshaft.fmu_build.compiler import SlowWarning, shared_library
 from halfshaft.library.base.errors import CompileError, InputError, SolveError
-from halfshaft.models.assembly import Step, assemble
+from halfshaft.models.assembly import REQUESTED, Step, assemble
 from halfshaft.models.model import Model
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -126,7 +126,7 @@ def address(array: npt.NDArray[Any] | None) -> int | None:
 _LONG, _PLACE = ctypes.c_long, ctypes.c_void_p
 #: Argument types of the functions in ``march.c``.
 _ARGUMENTS = {
-    "hs_march": (_LONG, *(_PLACE,) * 4, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 5, ctypes.c_int, _PLACE),
+    "hs_march": (_LONG, *(_PLACE,) * 5, _LONG, *(_PLACE,) * 3, ctypes.c_int, *(_PLACE,) * 5, ctypes.c_int, _PLACE),
     "hs_total": (_LONG, *(_PLACE,) * 4),
     "hs_one": (_PLACE,) * 5,
     "hs_first": (_PLACE,) * 2,
@@ -185,9 +185,9 @@ def march_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
 class CompiledStep:
     """A step in a shared library of its own."""
 
-    def __init__(self, step: Step) -> None:
+    def __init__(self, step: Step, flags: tuple[str, ...] = ()) -> None:
         self.step = step
-        self._library = ctypes.CDLL(str(shared_library(march_code(step), step.name)))
+        self._library = ctypes.CDLL(str(shared_library(march_code(step), step.name, flags=flags)))
         for name, types in _ARGUMENTS.items():
             getattr(self._library, name).argtypes = types
         self._library.hs_march.restype = ctypes.c_long
@@ -218,8 +218,13 @@ class CompiledStep:
             raise SolveError(f"{self.step.name}: an input or a result of the step is not a number")
         return following, outputs
 
-    def march(self, samples: Samples, parameters: Array, state: Array | None = None, mode: Mode = "hybrid", history: bool = True) -> March:
+    def march(
+        self, samples: Samples, parameters: Array, state: Array | None = None, mode: Mode = "hybrid", history: bool = True,
+        more: Array | None = None,
+    ) -> March:  # fmt: skip
         """Run a whole cycle in one call, with the interpreter lock released.
+
+        A step that requests more than `REQUESTED` takes a row of `more` each time.
 
         Raises
         ------
@@ -233,12 +238,14 @@ class CompiledStep:
         samples = read_by_c(samples)
         parameters = _doubles("parameters", parameters, len(self.step.parameters))
         x = np.empty(n_states) if state is None else _doubles("state", state, n_states).copy()
+        n_more = len(self.step.requests) - len(REQUESTED)
+        more = _doubles("more", np.ravel([] if more is None else more), n * n_more) if n_more else None
         rows = np.empty((n, n_outputs)) if history else None
         last, sums, highest = np.empty((3, n_outputs))
         counts = (ctypes.c_long * 2)()
         distance, grade = samples.grade_by_distance or (None, None)
         done = self._library.hs_march(
-            n, *map(address, (samples.dt, samples.v, samples.grade, samples.key_on)),
+            n, *map(address, (samples.dt, samples.v, samples.grade, samples.key_on, more)),
             0 if distance is None else len(distance), *map(address, (distance, grade, parameters)),
             state is not None, *map(address, (x, rows, last, sums, highest)), MODES.index(mode), counts,
         )  # fmt: skip

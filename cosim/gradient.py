@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from halfshaft.cosim.compiled import MODES, Array, Mode, address, march_code, read_by_c
-from halfshaft.cosim.cycle import TIME_STEP, Cycle
+from halfshaft.cosim.cycle import TIME_STEP, Cycle, Samples
 from halfshaft.cosim.figures import figures, needs
 from halfshaft.cosim.simulate import Build, parameters_of, stepper_of
 from halfshaft.fmu_build.compiler import shared_library
@@ -104,34 +104,11 @@ def slopes(
     """
     names, initial = tuple(names), dict(initial or {})
     _check(vehicle, cycle, names, wanted, history, mode, dt, initial)
-    times = [how for _, how in wanted if not isinstance(how, str)]
-    kept = tuple(dict.fromkeys((*history, *(name for name, how in wanted if how in times))))
-    outputs, asked = {*(name for name, _ in wanted), *kept}, mode != "hybrid" or cycle.grade_by_distance is not None
+    outputs, asked = {*(name for name, _ in wanted), *history}, mode != "hybrid" or cycle.grade_by_distance is not None
     plan = _plan(Build(vehicle), tuple(sorted(outputs)), asked)
-    samples = read_by_c(cycle.sampled(dt))
+    samples = cycle.sampled(dt)
     p = parameters_of(vehicle, plan.step, samples.v_start)
-    dp = rates(vehicle, plan.step, names)
-    found = [plan.march(samples, p, dp[:, k : k + TANGENTS], initial, mode, bool(kept)) for k in range(0, max(len(names), 1), TANGENTS)]
-    totals, rows, unsolved = found[0].totals, found[0].rows, found[0].unsolved
-    dtotals, drows = (np.concatenate(parts, axis=-1)[..., : len(names)] for parts in ([f.dtotals for f in found], [f.drows for f in found]))
-    at = plan.step.output_index
-    first, dfirst = (found[0].first, np.concatenate([f.dfirst for f in found], axis=-1)[:, : len(names)])
-    values: dict[What, float] = {}
-    gradient: dict[What, Array] = {}
-    for name, how in wanted:
-        if how == "first":
-            i = plan.step.state_index[name]
-            values[name, how], gradient[name, how] = float(first[i]), dfirst[i]
-        elif isinstance(how, str):
-            i = HOWS.index(how)
-            values[name, how], gradient[name, how] = float(totals[i, at[name]]), dtotals[i, at[name]]
-        else:
-            k = int(np.searchsorted(samples.t, how - TIME_STEP))
-            values[name, how], gradient[name, how] = float(rows[k, at[name]]), drows[k, at[name]]
-    return Slopes(
-        names, samples.t, values, gradient, {name: rows[:, at[name]] for name in history}, {name: drows[:, at[name]] for name in history},
-        unsolved,
-    )  # fmt: skip
+    return plan.slopes(samples, p, rates(vehicle, plan.step, names), names, wanted, history, initial, mode)
 
 
 def rates(vehicle: Vehicle, step: Step, names: Sequence[str]) -> Array:
@@ -149,9 +126,15 @@ def figure_gradient(
     vehicle: Vehicle, cycle: Cycle, names: Sequence[str], *, mode: Mode = "hybrid", dt: float = 1.0
 ) -> dict[str, dict[str, float]]:
     """Return the derivatives of the main figures of a run, by the figures' names and those of the numbers."""
-    step = stepper_of(vehicle).step
-    found = slopes(vehicle, cycle, names, list(needs(step)), mode=mode, dt=dt)
-    duration, gradient = float(found.time[-1]) - float(cycle.time[0]), dict[str, dict[str, float]]()
+    found = slopes(vehicle, cycle, names, list(needs(stepper_of(vehicle).step)), mode=mode, dt=dt)
+    return figure_slopes(vehicle, cycle, found)[1]
+
+
+def figure_slopes(vehicle: Vehicle, cycle: Cycle, found: Slopes) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Return the main figures of a run with its derivatives, where these are of all that figures need; and the figures' derivatives."""
+    step, names, gradient = stepper_of(vehicle).step, found.names, dict[str, dict[str, float]]()
+    duration, rated = float(found.time[-1]) - float(cycle.time[0]), {role: p.ratings() for role, p in vehicle.parameters.items()}
+    values = figures(step, lambda *what: np.array([found.values[what]]), vehicle.values, rated, duration)
     for near in _nearby(vehicle, names):
 
         def get(output: str, how: str, near: _Near = near) -> Array:
@@ -160,9 +143,10 @@ def figure_gradient(
 
         ratings = {role: p.ratings() for role, p in near.fleet.parameters.items()}
         for figure, x in figures(step, get, near.fleet.values, ratings, duration).items():
-            whole = np.broadcast_to(x, len(near.of) * len(PLACES))
-            gradient.setdefault(figure, {}).update(zip([names[i] for i in near.of], near.slope(whole).tolist(), strict=True))
-    return {figure: {name: of[name] for name in names} for figure, of in gradient.items()}
+            each = np.broadcast_to(x, len(near.of) * len(PLACES))
+            gradient.setdefault(figure, {}).update(zip([names[i] for i in near.of], near.slope(each).tolist(), strict=True))
+    whole = {figure: {name: of[name] for name in names} for figure, of in gradient.items()}
+    return {figure: float(np.ravel(x)[0]) for figure, x in values.items()}, whole
 
 
 def value_of(vehicle: Vehicle, name: str) -> float:
@@ -212,13 +196,53 @@ class _Found(NamedTuple):
     unsolved: int
 
 
-class _Plan(NamedTuple):
+class Plan(NamedTuple):
     """A step with tangents, as machine code."""
 
     library: ctypes.CDLL
     step: Step
 
-    def march(self, samples: Any, p: Array, dp: Array, initial: Mapping[str, float], mode: Mode, kept: bool) -> _Found:
+    @classmethod
+    def of(cls, step: Step, moved: Sequence[int] = (), still: int = 0) -> Plan:
+        """Return the machine code of a step; the arguments are those of `tangents_code`."""
+        own = files("halfshaft.cosim").joinpath("march_tangents.c").read_text(encoding="utf-8")
+        code = "\n".join([march_code(step), tangents_code(step, moved, still), own])
+        # Found as fast as with more, in half the time of the compiler.
+        flags = ("-O1", *(WIDTHS[widths()[0]][0] if widths() else ()))
+        library = ctypes.CDLL(str(shared_library(code, f"{step.name}_tangents", flags=flags)))
+        library.hs_march_tangents.restype = ctypes.c_long
+        return cls(library, step)
+
+    def slopes(
+        self, samples: Samples, p: Array, dp: Array, names: tuple[str, ...], wanted: Sequence[What], history: Sequence[str],
+        initial: Mapping[str, float] | None = None, mode: Mode = "hybrid", more: Array | None = None,
+    ) -> Slopes:  # fmt: skip
+        """Run a cycle and derive what is asked for; `dp` has a column for each name, and `more` is as for `CompiledStep.march`."""
+        samples, kept = read_by_c(samples), bool(history) or any(not isinstance(how, str) for _, how in wanted)
+        each = [dp[:, k : k + TANGENTS] for k in range(0, max(len(names), 1), TANGENTS)]
+        found = [self.march(samples, p, seeds, initial or {}, mode, kept, more) for seeds in each]
+        totals, rows, first = found[0].totals, found[0].rows, found[0].first
+        sides = ([f.dtotals for f in found], [f.drows for f in found], [f.dfirst for f in found])
+        dtotals, drows, dfirst = (np.concatenate(parts, axis=-1)[..., : len(names)] for parts in sides)
+        at = self.step.output_index
+        values: dict[What, float] = {}
+        gradient: dict[What, Array] = {}
+        for name, how in wanted:
+            if how == "first":
+                i = self.step.state_index[name]
+                values[name, how], gradient[name, how] = float(first[i]), dfirst[i]
+            elif isinstance(how, str):
+                i = HOWS.index(how)
+                values[name, how], gradient[name, how] = float(totals[i, at[name]]), dtotals[i, at[name]]
+            else:
+                k = int(np.searchsorted(samples.t, how - TIME_STEP))
+                values[name, how], gradient[name, how] = float(rows[k, at[name]]), drows[k, at[name]]
+        shown, dshown = ({name: x[:, at[name]] for name in history} for x in (rows, drows))
+        return Slopes(names, samples.t, values, gradient, shown, dshown, found[0].unsolved)
+
+    def march(
+        self, samples: Samples, p: Array, dp: Array, initial: Mapping[str, float], mode: Mode, kept: bool, more: Array | None = None
+    ) -> _Found:
         """Run a cycle with up to eight tangents."""
         n, n_outputs, n_states = len(samples.t), len(self.step.outputs), len(self.step.states)
         seeds = np.zeros((len(p), TANGENTS))
@@ -230,7 +254,7 @@ class _Plan(NamedTuple):
         distance, grade = samples.grade_by_distance or (None, None)
         unsolved = ctypes.c_long()
         done = self.library.hs_march_tangents(
-            ctypes.c_long(n), *map(_place, (samples.dt, samples.v, samples.grade, samples.key_on)),
+            ctypes.c_long(n), *map(_place, (samples.dt, samples.v, samples.grade, samples.key_on, more)),
             ctypes.c_long(0 if distance is None else len(distance)), *map(_place, (distance, grade, p, seeds)), ctypes.c_long(len(x)),
             *map(_place, (x, x_of, first, dfirst)), *map(_place, (rows, drows) if kept else (None, None)),
             *map(_place, (totals, dtotals)), MODES.index(mode), ctypes.byref(unsolved),
@@ -245,18 +269,12 @@ def _place(array: Any) -> ctypes.c_void_p:
 
 
 @lru_cache(maxsize=32)
-def _plan(build: Build, outputs: tuple[str, ...], asked: bool) -> _Plan:
+def _plan(build: Build, outputs: tuple[str, ...], asked: bool) -> Plan:
     """Return the step with some outputs; `asked` is whether the request has tangents too."""
     whole = stepper_of(build.vehicle).step
     step = whole.only({*outputs, *(whole.tags.the(tag) for tag in ("request", "miss", "overspeed"))})
     moved = [i for i, d in enumerate(step.requests) if d.name in ("v_request", "grade")] if asked else []
-    own = files("halfshaft.cosim").joinpath("march_tangents.c").read_text(encoding="utf-8")
-    code = "\n".join([march_code(step), tangents_code(step, moved), own])
-    # Found as fast as with more, in half the time of the compiler.
-    flags = ("-O1", *(WIDTHS[widths()[0]][0] if widths() else ()))
-    library = ctypes.CDLL(str(shared_library(code, f"{step.name}_tangents", flags=flags)))
-    library.hs_march_tangents.restype = ctypes.c_long
-    return _Plan(library, step)
+    return Plan.of(step, moved)
 
 
 def _check(
@@ -269,7 +287,9 @@ def _check(
     if not 0 < number(dt) < np.inf:
         problems.append(f"dt = {dt} s, must be a number > 0 s")
     if not problems:
-        problems += [*unknown_numbers(vehicle, names), *_unknown(vehicle, cycle, wanted, history, initial)]
+        step, ends = stepper_of(vehicle).step, (float(cycle.time[0]), float(cycle.time[-1]))
+        problems += [*unknown_numbers(vehicle, names), *unknown_outputs(step, wanted, history, ends)]
+        problems += [f"{name} is no state{nearest(name, step.state_index)}" for name in initial if name not in step.state_index]
     if problems:
         raise InputError("gradient", problems)
 
@@ -283,8 +303,8 @@ def unknown_numbers(vehicle: Vehicle, names: Sequence[str]) -> Iterator[str]:
     yield from (f"{name} stands {names.count(name)} times" for name in dict.fromkeys(names) if names.count(name) > 1)
 
 
-def _unknown(vehicle: Vehicle, cycle: Cycle, wanted: Sequence[What], history: Sequence[str], initial: Mapping[str, float]) -> Iterator[str]:
-    step = stepper_of(vehicle).step
+def unknown_outputs(step: Step, wanted: Sequence[What], history: Sequence[str], ends: tuple[float, float]) -> Iterator[str]:
+    """Yield what is wrong with outputs of a run between two times that are asked for."""
     for name in dict.fromkeys((*(name for name, _ in wanted), *history)):
         if name not in step.output_index:
             yield f"{name} is no output{nearest(name, step.output_index)}"
@@ -294,6 +314,5 @@ def _unknown(vehicle: Vehicle, cycle: Cycle, wanted: Sequence[What], history: Se
                 yield f"{name}: {how!r} must be a time or one of {', '.join((*HOWS, 'first'))}{nearest(how, HOWS)}"
             elif how == "first" and name in step.output_index and name not in step.state_index:
                 yield f"{name} shows no state, so it has no first value"
-        elif not cycle.time[0] < how <= cycle.time[-1]:
-            yield f"{name}: {how:g} s is no time of the cycle, which lasts from {cycle.time[0]:g} s to {cycle.time[-1]:g} s"
-    yield from (f"{name} is no state{nearest(name, step.state_index)}" for name in initial if name not in step.state_index)
+        elif not ends[0] < how <= ends[1]:
+            yield f"{name}: {how:g} s is no time of the cycle, which lasts from {ends[0]:g} s to {ends[1]:g} s"

@@ -207,9 +207,9 @@ static void advance(trial *t, double *now, double *next, double *y, int mode) {
 /* March `n` steps from the state `x`, or where not `started` from the start state; `x` becomes the last state.  `history`
    holds n rows of outputs; where it is null, `last` gets the last row, `sums` the time integrals and `highest` the maxima of all outputs.
    Returns the number of steps done; less than n if a number was lost, among the outputs only where they are not kept.  `counts` gets
-   the number of calls of the step, and of searches without success. */
-HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
-                        const double *grade_distance, const double *grade_value, const double *p, int started, double *x,
+   the number of calls of the step, and of searches without success.  `more` holds n rows of what a step requests beyond the plain ones. */
+HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double *grade, const double *key_on, const double *more,
+                        long n_grade, const double *grade_distance, const double *grade_value, const double *p, int started, double *x,
                         double *history, double *last, double *restrict sums, double *restrict highest, int mode, long *counts) {
   double state[2][HS_NX], u[HS_NU], q[HS_NQ], rows[HS_ROWS * HS_NY];
   double *now = state[0], *next = state[1];
@@ -225,6 +225,7 @@ HS_EXPORT long hs_march(long n, const double *dt, const double *v, const double 
     u[2] = key_on[k];
     u[3] = dt[k];
     u[4] = 0;
+    for (int i = 5; i < HS_NU; ++i) u[i] = more[k * (HS_NU - 5) + i - 5];
     u[0] = v[k];
     advance(&t, now, next, y, mode);
     /* What is lost stays lost in a state: now and then is often enough to look. */

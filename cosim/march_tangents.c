@@ -65,8 +65,8 @@ static void advance_tangents(trial *t, tangents *d, double *now, double *next, d
    `first` gets all of them.  Of all outputs
    `totals` gets last values, time integrals, maxima and minima, `dtotals` their tangents; `history` and `dhistory`, where they are not
    null, get all.  Returns the number of steps done, less than n if a number was lost; `unsolved` the number of searches without success. */
-HS_EXPORT long hs_march_tangents(long n, const double *dt, const double *v, const double *grade, const double *key_on, long n_grade,
-                                 const double *grade_distance, const double *grade_value, const double *p, const vt *dp, long n_x,
+HS_EXPORT long hs_march_tangents(long n, const double *dt, const double *v, const double *grade, const double *key_on,
+                                 const double *more, long n_grade, const double *grade_distance, const double *grade_value, const double *p, const vt *dp, long n_x,
                                  const double *x, const int *x_of, double *first, vt *dfirst, double *history,
                                  vt *dhistory, double *totals, vt *dtotals, int mode, long *unsolved) {
   double state[2][HS_NX], u[HS_NU], q[HS_NQ], y[HS_NY];
@@ -90,6 +90,7 @@ HS_EXPORT long hs_march_tangents(long n, const double *dt, const double *v, cons
     u[2] = key_on[k];
     u[3] = dt[k];
     u[4] = 0;
+    for (int i = 5; i < HS_NU; ++i) u[i] = more[k * (HS_NU - 5) + i - 5];
     d.u[1] = n_grade ? d.x[HS_X_DISTANCE] * slope_at(now[HS_X_DISTANCE], n_grade, grade_distance, grade_value) : HS_NONE;
     advance_tangents(&t, &d, now, next, y, mode);
     t.failed |= hs_lost(next, HS_NX) | hs_lost(y, HS_NY);

@@ -24,6 +24,7 @@ from mkdocs.structure.pages import Page
 from halfshaft import Cycle, Record, Vehicle, calibrate, component_names, optimal, plot_run, run, uncertainty
 from halfshaft.app.show import any_component
 from halfshaft.cosim.maps import plot_maps
+from halfshaft.cosim.smooth import smoothed
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.parameters import Parameters, Spec, spec_of
 from halfshaft.library.base.ports import Port
@@ -57,6 +58,31 @@ def overlaid() -> tuple[Figure, str]:
 def sized(name: str) -> tuple[Figure, str]:
     """Return how a car was sized."""
     return Autosize()(Vehicle.load(name)).plot(), f"Sizes of {name}, trial by trial, and by how much each goal is met"
+
+
+def smooth() -> tuple[Figure, str]:
+    """Return how the smooth step comes to the exact one: over a cycle, and across a limit."""
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    widths, cycle = 10.0 ** np.arange(-7, -0.5, 0.5), Cycle.load("udds")
+    for name, output in (("electric", "battery.soc"), ("series-follower", "engine.fuel_used"), ("parallel", "engine.fuel_used"),
+                         ("conventional", "engine.fuel_used")):  # fmt: skip
+        car = Vehicle.load(f"small-car-{name}")
+        form, exact = smoothed(car, cycle), run(car, cycle).last[output]
+        at = form.step.output_index[output]
+        apart = [abs(form.march(w).last[at] / exact - 1) for w in widths]
+        left.loglog(widths, apart, ".-", label=f"{name}, {'charge' if output == 'battery.soc' else 'fuel'}")
+    left.set(xlabel="width", ylabel="part by which the exact value is missed", title="UDDS")
+    left.legend(fontsize=8)
+    car, full = Vehicle.load("small-car-electric"), Cycle(name="start", time=[0.0, 1.0], speed=[0.0, 4.5])
+    form, scales = smoothed(car, full), np.linspace(0.43, 0.49, 121)
+    cars, at = [car.with_values({"motor.torque_scale": float(x), "body.m": 1144.0}) for x in scales], form.step.output_index["body.v"]
+    for w in (0.1, 0.03, 0.01):
+        right.plot(scales, [form.march(w, other).last[at] for other in cars], label=f"width {w:g}")
+    right.plot(scales, [run(other, full).last["body.v"] for other in cars], "k:", label="exact")
+    right.set(xlabel="motor.torque_scale", ylabel="speed [m/s]", title="4.5 m/s asked for after one second")
+    right.legend(fontsize=8)
+    return figure, "The smooth step comes to the exact one in proportion to the width; a limit is a bend"
 
 
 def calibrated() -> tuple[Figure, str]:
@@ -107,6 +133,7 @@ PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
     "overlaid": overlaid,
     "optimum-parallel": partial(optimum, "parallel"),
     "front-electric": front,
+    "smooth": smooth,
     "calibrated": calibrated,
     "coast-down": coasted,
     "uncertain": uncertain,

@@ -25,6 +25,7 @@ import casadi as ca
 
 from halfshaft.fmu_build.compiler import shared_library
 from halfshaft.fmu_build.graph import Graph, Op, step_graph
+from halfshaft.library.base.rounded import RoundedTable, rounded_source
 from halfshaft.library.base.tables import Table, axis_source, external_source, values_source
 from halfshaft.models.assembly import Step
 
@@ -80,7 +81,7 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
     parts = [
         _PRELUDE,
         *(axis_source(name, points) for name, points in graph.axes.items()),
-        *(values_source(name, t) for name, t in graph.tables.items() if name not in graph.rows),
+        *(_table_source(name, t) for name, t in graph.tables.items() if name not in graph.rows),
         f"#define HS_NX {len(step.states)}\n#define HS_NU {len(step.requests)}\n#define HS_NP {len(step.parameters) + n_rows}",
         f"#define HS_NQ {max(len(kept), 1)}\n#define HS_NY {len(step.outputs)}\n",
         "static void hs_start(const double *p, double *x) {", *_lines(starter, first), *stores("x", first), "}\n",
@@ -97,6 +98,10 @@ def step_code(step: Step, rows: Mapping[str, int] | None = None) -> str:
         "  return lost | hs_lost(xn, HS_NX);\n}\n",
     ]  # fmt: skip
     return "\n".join(parts)
+
+
+def _table_source(name: str, table: Table) -> str:
+    return rounded_source(name, table) if isinstance(table, RoundedTable) else values_source(name, table)
 
 
 def relations_code(step: Step) -> str:

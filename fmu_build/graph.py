@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from halfshaft.library.base.rounded import RoundedTable
 from halfshaft.library.base.tables import Table
 from halfshaft.models.assembly import Step
 
@@ -46,7 +47,8 @@ class Op(NamedTuple):
 
     Besides those above, ``true`` tells whether a number is not zero, ``choose`` takes one of two by a flag, ``clip`` moves a number
     between two ends, ``find`` gives the interval of an axis in which a number lies, ``place`` where in it, and ``table`` reads a
-    table at intervals and places; ``row`` reads one over an axis whose values are parameters, from the named one on.
+    table at intervals and places, and a rounded one with a width behind them; ``row`` reads one over an axis whose values are
+    parameters, from the named one on.
     """
 
     name: str
@@ -176,6 +178,8 @@ class Graph:
                 x = self._add("clip", x, constant(points[0]), constant(points[-1]))
             interval = self._add("find", x, about=axis)
             places += [interval, self._add("place", x, interval, about=axis)]
+        if isinstance(table, RoundedTable):
+            places.append(parts[-1])
         return self._add("row", *places, about=function) if function in self.rows else self._add("table", *places, about=function)
 
 

@@ -21,6 +21,7 @@ import casadi as ca
 
 from halfshaft.fmu_build.code import guarded, line, stores, stores_at_once, unpacked
 from halfshaft.fmu_build.graph import Graph, Op, StepGraph, step_graph
+from halfshaft.library.base.rounded import RoundedTable
 from halfshaft.models.assembly import Step
 
 #: Derivatives that are carried at once: as many as the widest registers hold.
@@ -51,7 +52,7 @@ _ALONE = {
 }  # fmt: skip
 
 
-def tangents_code(step: Step, moved: Sequence[int] = ()) -> str:
+def tangents_code(step: Step, moved: Sequence[int] = (), still: int = 0) -> str:
     """Return the C of a step with tangents.
 
     Parameters
@@ -60,15 +61,17 @@ def tangents_code(step: Step, moved: Sequence[int] = ()) -> str:
         The step.
     moved
         Positions of the requests that have tangents too.
+    still
+        How many of the last parameters have none.
 
     """
-    return "\n".join(_Writer(step, step_graph(step), moved).text())
+    return "\n".join(_Writer(step, step_graph(step), moved, still).text())
 
 
 class _Writer:
     """Writes the operations of a step with their tangents."""
 
-    def __init__(self, step: Step, found: StepGraph, moved: Sequence[int]) -> None:
+    def __init__(self, step: Step, found: StepGraph, moved: Sequence[int], still: int) -> None:
         self.found, self.graph = found, found.graph
         self.starter = Graph(step.tables)
         p = ca.SX.sym("p", len(step.parameters))
@@ -76,7 +79,7 @@ class _Writer:
         self.first = self.starter.values(step.start.call([p])[0])
         self.starting = self.starter.used(self.starter.prepared, self.first)
         fixed = step.parameter_index[step.tags.the("start speed")]
-        always = {f"p[{i}]" for i in range(len(step.parameters)) if i != fixed} | {f"u[{i}]" for i in moved}
+        always = {f"p[{i}]" for i in range(len(step.parameters) - still) if i != fixed} | {f"u[{i}]" for i in moved}
         start = self._moving(self.starting, always)
         # A state has a tangent if it begins with one, or if it ever gets one from those that have.
         self.moving, more = set[str](), {f"x[{i}]" for i, name in enumerate(self.first) if name in start}
@@ -104,8 +107,9 @@ class _Writer:
         """Return C of the tangent of an operation."""
         tangents = [f"d{name}" if name in moving else "HS_NONE" for name in op.of]
         if op.what in ("table", "row"):
-            each = ", ".join(f"{i}, {t}, {d}" for i, t, d in zip(op.of[::2], op.of[1::2], tangents[1::2], strict=True))
-            return f"{op.about}_tangent({each})"
+            places = 2 * (len(op.of) // 2)
+            each = [f"{i}, {t}, {d}" for i, t, d in zip(op.of[:places:2], op.of[1::2], tangents[1::2], strict=True)]
+            return f"{op.about}_tangent({', '.join([*each, *op.of[places:]])})"
         there = [d != "HS_NONE" for d in tangents]
         text = _ALONE[op.what][there.index(True)] if op.what in _ALONE and sum(there) == 1 else _C[op.what]
         named = {f"d{k}": d for k, d in enumerate(tangents)}
@@ -145,10 +149,11 @@ class _Writer:
 
 def _table_source(name: str, graph: Graph) -> str:
     """Return C of ``name_tangent(i, t, dt, ...)``: the tangent of a table at intervals and places with their tangents."""
-    live = graph.tables[name].live
-    arguments = ", ".join(f"int i{i}, double t{i}, vt d{i}" for i in live)
+    table = graph.tables[name]
+    live, width = table.live, ["width"] if isinstance(table, RoundedTable) else []
+    arguments = ", ".join([*(f"int i{i}, double t{i}, vt d{i}" for i in live), *(f"double {w}" for w in width)])
     each = " + ".join(f"g[{i}] * d{i}" for i in live)
-    places = ", ".join(f"i{i}, t{i}" for i in live)
+    places = ", ".join([*(f"i{i}, t{i}" for i in live), *width])
     return f"""static inline vt {name}_tangent({arguments}) {{
   double g[{len(graph.tables[name].points)}];
   (void){name}_at({places}, g);

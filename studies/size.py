@@ -38,6 +38,8 @@ METHODS: tuple[Method, ...] = get_args(Method)
 #: Starts of IPOPT, and evaluations of differential evolution.
 STARTS, EVALUATIONS = 3, 5000
 MOST_STARTS, MOST_EVALUATIONS = 100, 1_000_000
+#: Widest rounding of a step [1].
+WIDEST = 1.0
 #: A goal that falls by this share, by its slopes, within this part of the bounds is said to be no smooth optimum.
 GAIN, STRAY = 5e-4, 0.01
 #: A limit that costs less than this share of the goal for 1 % of its target does not bind.
@@ -51,6 +53,7 @@ def size(
     starts: int = STARTS,
     evaluations: int = EVALUATIONS,
     seed: int = 0,
+    widths: tuple[float, ...] = (),
     progress: Callable[[str], None] = lambda text: None,
 ) -> Optimum:
     """Find the vehicle with the least of what a problem names, within its limits.
@@ -69,6 +72,8 @@ def size(
         How many vehicles differential evolution may try.
     seed
         The same one draws the same points.
+    widths
+        Of the smooth form of the step that IPOPT drives first, one after the other, such as 0.01 and 0.001; without them the step itself.
     progress
         Is told what is being done.
 
@@ -80,11 +85,7 @@ def size(
         If it was interrupted before any vehicle was tried.
 
     """
-    wrong = [] if method in METHODS else [f"method = {method!r}, must be {' or '.join(METHODS)}"]
-    for name, x, most in (("starts", starts, MOST_STARTS), ("evaluations", evaluations, MOST_EVALUATIONS)):
-        if not (number(x) == int(number(x) if math.isfinite(number(x)) else 0) and 1 <= x <= most):
-            wrong.append(f"{name} = {x!r}, must be a whole number from 1 to {most}")
-    if wrong:
+    if wrong := option_problems(method, starts, evaluations, widths):
         raise InputError("size", wrong)
     if isinstance(problem, str | Path):
         problem = read_problem(problem)
@@ -95,21 +96,30 @@ def size(
         if method == "evolution":
             found.append(_sized(bound, method, lambda bench, _: evolve(bench, evaluations=evaluations, seed=seed)))
         else:
-            found.append(sized(bound, starts=starts, seed=seed))
+            found.append(sized(bound, starts=starts, seed=seed, widths=widths))
         if found[-1].status == "interrupted":
             break
     best = min(found, key=lambda o: (not o.holds, o.goal if o.holds else o.tried[-1].worst))
     if len(found) == 1:
         return best
-    others = [f"{', '.join(o.bound.parts.values())}: {f'{o.goal:.5g}' if o.holds else o.status}" for o in found]
+    others = [f"{', '.join(o.bound.parts.values())}: {f'{o.goal:.5g}' if o.holds else ' '.join((o.status, *o.notes[:1]))}" for o in found]
     total = Effort(*(sum(x) for x in zip(*((o.effort.cycles, o.effort.slopes, o.effort.limits) for o in found), strict=True)))
     status = found[-1].status if found[-1].status == "interrupted" else best.status
     return replace(best, status=status, effort=total, notes=(*best.notes, f"the goal by parts: {'; '.join(others)}"))
 
 
-def sized(bound: Bound, *, starts: int = STARTS, seed: int = 0) -> Optimum:
+def option_problems(method: str, starts: int, evaluations: int, widths: tuple[float, ...]) -> list[str]:
+    """Return what is wrong with options of a sizing."""
+    wrong = [] if method in METHODS else [f"method = {method!r}, must be {' or '.join(METHODS)}"]
+    for name, x, most in (("starts", starts, MOST_STARTS), ("evaluations", evaluations, MOST_EVALUATIONS)):
+        if not (isinstance(x, int) and 1 <= x <= most):
+            wrong.append(f"{name} = {x!r}, must be a whole number from 1 to {most}")
+    return wrong + [f"width = {x!r}, must be > 0 and <= {WIDEST:g}" for x in widths if not 0 < number(x) <= WIDEST]
+
+
+def sized(bound: Bound, *, starts: int = STARTS, seed: int = 0, widths: tuple[float, ...] = ()) -> Optimum:
     """Return the best vehicle with some parts, found by IPOPT from several starts."""
-    return _sized(bound, "ipopt", lambda bench, note: minimise(bench, starts_from_scan(bench, starts=starts, seed=seed), note))
+    return _sized(bound, "ipopt", lambda bench, note: minimise(bench, starts_from_scan(bench, starts=starts, seed=seed), note, widths))
 
 
 def resized(optimum: Optimum, limit: int, target: float, *, whole: bool = False) -> Optimum:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from halfshaft.studies.size import size
 from halfshaft.validation.sizing import CARS, SMOOTH, case, smooth_price
 
 PAGE = Path(__file__).parents[1] / "docs" / "sizing.md"
@@ -26,6 +27,15 @@ def test_a_multiplier_is_the_price_of_one_percent(x: tuple[str, tuple[tuple[str,
     # Of a curve, the slope in its middle is that of the chord.
     price = smooth_price(*x)
     assert (price.tighter + price.looser) / 2 == pytest.approx(price.multiplier, rel=0.05)
+
+
+def test_continuation_in_the_width_ends_at_the_same_vehicle() -> None:
+    plain, led = case("electric").ipopt, size("electric", widths=(0.1, 0.01))
+    assert led.holds
+    assert led.goal == pytest.approx(plain.goal, rel=1e-4)
+    # From width to width the relaxed goal comes to that of the step.
+    wide, narrow, none = (run.goal for run in led.runs[:3])
+    assert abs(narrow - none) < 0.2 * abs(wide - none)
 
 
 def test_the_page_on_sizing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -53,6 +53,10 @@ def _size(
     starts: Annotated[int, typer.Option(metavar="N", help="Points that IPOPT starts from.")] = 3,
     evaluations: Annotated[int, typer.Option(metavar="N", help="Vehicles that evolution may try.")] = 5000,
     seed: Annotated[int, typer.Option(metavar="N", help="The same one draws the same points.")] = 0,
+    width: Annotated[
+        list[float] | None,
+        typer.Option(metavar="W", help="Width of the smooth step that IPOPT drives first, such as 0.1; repeatable, one after the other."),
+    ] = None,
     pareto: Annotated[
         str | None, typer.Option(metavar="LIMIT=A..B:N", help='A front over a limit of the problem, "0-60 mph=9..12:4".')
     ] = None,
@@ -62,7 +66,7 @@ def _size(
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page of HTML.")] = None,
     as_json: Json = False,
 ) -> None:
-    from halfshaft.studies.size import measured_prices, size
+    from halfshaft.studies.size import measured_prices, option_problems, size
     from halfshaft.studies.sizing.problem_file import read_problem
 
     checks = Checks()
@@ -72,16 +76,18 @@ def _size(
         if path is not None and path.suffix != end:
             checks.problem(f"{option} {path}: must end in {end}")
     checks.picture(plot, "--plot")
+    checks.problem(*option_problems(method, starts, evaluations, tuple(width or ())))
     front = _front(pareto, checks) if pareto else None
     if front:
-        given = (("--method", method != "ipopt"), ("--out", out), ("--report", report), ("--check", check))
-        checks.problem(*(f"{option} goes with one vehicle, not with a --pareto" for option, x in given if x))
+        alone = (("--method", method != "ipopt"), ("--out", out), ("--report", report), ("--check", check))
+        checks.problem(*(f"{option} goes with one vehicle, not with a --pareto" for option, x in alone if x))
     asked = checks.done(found)
     if front:
         _print_front(asked, *front, plot, seed=seed, as_json=as_json)
         return
+    given: dict[str, Any] = {"starts": starts, "evaluations": evaluations, "seed": seed, "widths": tuple(width or ())}
     with busy(f"size: {asked.name}") as tell:
-        optimum = size(asked, method=method, starts=starts, evaluations=evaluations, seed=seed, progress=tell)  # type: ignore[arg-type]
+        optimum = size(asked, method=method, progress=tell, **given)  # type: ignore[arg-type]
         prices = measured_prices(optimum) if check else []
     if out is not None:
         optimum.vehicle.save(out)

@@ -174,7 +174,8 @@ def interpolants(named: Mapping[str, Table]) -> dict[str, ca.Function]:
     return {name: Table(t.points, t.values, t.clip, name).interpolant for name, t in named.items()}
 
 
-def _numbers(values: npt.ArrayLike) -> str:
+def numbers_in_c(values: npt.ArrayLike) -> str:
+    """Return numbers as C writes an array."""
     return "{" + ", ".join(float(v).hex() if np.isfinite(v) else "NAN" for v in np.asarray(values, dtype=float).flat) + "}"
 
 
@@ -198,13 +199,13 @@ def axis_source(name: str, points: npt.NDArray[np.float64]) -> str:
     loop = f"""  int i = !(b > 0) ? 0 : b < {bins} ? {name}_b[(int)b] : {last};
   while (i < {last} && x >= {name}_x[i + 1]) ++i;
   return i;"""
-    straight = f"""  static const double next[] = {_numbers([*points[1:-1], np.nan])};
+    straight = f"""  static const double next[] = {numbers_in_c([*points[1:-1], np.nan])};
   b = b > 0 ? b : 0;
   int i = {name}_b[(int)(b < {bins - 1} ? b : {bins - 1})];
   return i + (x >= next[i]);"""
     return f"""
-static const double {name}_x[] = {_numbers(points)};
-static const double {name}_s[] = {_numbers(1.0 / np.diff(points))};
+static const double {name}_x[] = {numbers_in_c(points)};
+static const double {name}_s[] = {numbers_in_c(1.0 / np.diff(points))};
 static const unsigned short {name}_b[] = {{{", ".join(str(int(i)) for i in start)}}};
 static inline int {name}_find(double x) {{
   double b = (x - {float(points[0]).hex()}) * {float(bins / span).hex()};
@@ -227,7 +228,7 @@ def values_source(name: str, table: Table) -> str:
     strides = [int(np.prod(table.values.shape[i + 1 :])) for i in range(len(table.points))]
     arguments = ", ".join(f"int i{i}, double t{i}" for i in live)
     offset = " + ".join(f"i{i} * {strides[i]}" for i in live) or "0"
-    body = [f"static const double {name}_y[] = {_numbers(table.values)};"]
+    body = [f"static const double {name}_y[] = {numbers_in_c(table.values)};"]
     body.append(f"static inline double {name}_at({arguments + ', ' if live else ''}double *d) {{")
     body.append(f"  const double *y = {name}_y + {offset};")
     if len(live) == 3:

@@ -78,6 +78,8 @@ class Bench:
         All vehicles as they would be built, in order.
     looked
         Those that drove no cycle, or were not as they would be built.
+    smoothed
+        How tasks are asked for slopes of a smooth form.
 
     """
 
@@ -86,6 +88,7 @@ class Bench:
     tried: list[Tried] = field(default_factory=list)
     looked: list[Tried] = field(default_factory=list)
     effort: Effort = field(default_factory=Effort)
+    smoothed: dict[str, Probe] = field(default_factory=dict)
 
     @cached_property
     def low(self) -> Array:
@@ -146,6 +149,11 @@ class Bench:
     def rebase(self, u: Array) -> None:
         """Let the maps of the smooth base be those of a point."""
         self.base = self.vehicle(u).displaced({})
+
+    def smooth(self, u: Array, width: float) -> None:
+        """Let slopes be those of the smooth form of the step of a width, its decisions those at a point; of none, of the step itself."""
+        car = self.base.with_values(self.numbers(u, exact=False))
+        self.smoothed = {key: probe.rounded(car, width) for key, probe in self.probes.items()} if width else {}
 
     def vehicle(self, u: Array) -> Vehicle:
         """Return the vehicle at a point as it would be built."""
@@ -212,7 +220,7 @@ class Bench:
         found: dict[Ref, tuple[float, Array]] = {}
         cost = 0
         for key, wanted in self._wanted(goal=True).items():
-            sloped = self.probes[key].slopes(car, names, wanted)
+            sloped = (self.smoothed or self.probes)[key].slopes(car, names, wanted)
             found |= {Ref(key, figure): (sloped.values[figure], sloped.gradients[figure]) for figure in wanted}
             cost = max(cost, sloped.cost * self.probes[key].drives)
         self.effort.slopes += 1

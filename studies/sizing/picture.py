@@ -66,7 +66,7 @@ def plot_optimum(optimum: Optimum, *, path: str | Path | None = None) -> Picture
         for ax in axes[:-1]:
             ax.tick_params(labelbottom=False)
         holds = excesses <= ROUNDING
-        _goals(axes[0], optimum, goals, holds)
+        _goals(axes[0], optimum, goals, holds, np.array([stage != "ipopt" for stage in stages]))
         _excesses(axes[1], optimum, excesses)
         _variables(axes[2], optimum, points)
         _save(figure, path)
@@ -106,12 +106,13 @@ def _bands(ax: Axes, stages: list[str]) -> None:
             ax.axvspan(places[0] - 0.5, places[-1] + 0.5, color=COLOURS[list(_STAGES).index(stage)], alpha=0.07, lw=0)
 
 
-def _goals(ax: Axes, optimum: Optimum, goals: np.ndarray, holds: np.ndarray) -> None:
+def _goals(ax: Axes, optimum: Optimum, goals: np.ndarray, holds: np.ndarray, built: np.ndarray) -> None:
     x = np.arange(len(goals))
     many = len(goals) > 400
     for which, colour, label in ((~holds, LINE, "a limit is missed"), (holds, COLOURS[2], "every limit holds")):
         ax.plot(x[which], goals[which], ls="", marker=".", ms=2 if many else 5, color=colour, label=label)
-    best = np.fmin.accumulate(np.where(holds, goals, np.nan)) if holds.any() else np.full(len(goals), np.nan)
+    # What is relaxed may be better than what can be built.
+    best = np.fmin.accumulate(np.where(holds & built, goals, np.nan))
     ax.plot(x, best, color=COLOURS[2], lw=0.9, drawstyle="steps-post")
     ax.axhline(optimum.goal, color=COLOURS[2], lw=0.7, ls=":")
     known = goals[np.isfinite(goals)]

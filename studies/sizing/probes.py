@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
@@ -17,8 +17,10 @@ import numpy as np
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import acceleration_cycle
-from halfshaft.cosim.gradient import figure_gradient, slopes
-from halfshaft.cosim.simulate import run, stepper_of
+from halfshaft.cosim.figures import needs
+from halfshaft.cosim.gradient import figure_slopes, slopes
+from halfshaft.cosim.simulate import stepper_of
+from halfshaft.cosim.smooth import Smooth, smoothed
 from halfshaft.library.base.errors import HalfshaftError, InputError
 from halfshaft.library.base.tags import part_of
 from halfshaft.models.vehicle import Vehicle
@@ -97,6 +99,10 @@ class Probe:
         """Return figures of many vehicles at once; None if there is no way."""
         return None
 
+    def rounded(self, vehicle: Vehicle, width: float) -> Probe:
+        """Return the same with tangents of the smooth form of the step, its decisions those of a vehicle, where there is one."""
+        return self
+
     def slopes(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped:
         """Return figures with their gradients over numbers of the vehicle."""
         if sloped := self.tangents(vehicle, names, wanted):
@@ -136,9 +142,17 @@ class Numbers(Probe):
 
 @dataclass(frozen=True)
 class DriveProbe(Probe):
-    """A cycle that is driven once."""
+    """A cycle that is driven once; with forms, tangents are those of the smooth step."""
 
     task: Drive
+    forms: tuple[Smooth, ...] = ()
+    width: float = 0.0
+
+    def rounded(self, vehicle: Vehicle, width: float) -> Probe:
+        """Return the same with tangents of the smooth form of the step."""
+        if self.task.mode != "hybrid":
+            return self
+        return replace(self, forms=(smoothed(vehicle, self.task.cycle, dt=self.task.dt),), width=width)
 
     def batch(self, vehicle: Vehicle, columns: Mapping[str, Array], wanted: Sequence[str]) -> dict[str, Array] | None:
         """Return figures of many vehicles at once; None if there is no way."""
@@ -149,20 +163,24 @@ class DriveProbe(Probe):
 
     def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
         """Return figures with their gradients by the tangents of a run."""
-        values, gradients = _run(vehicle, names, np.eye(len(names)), self.task)
+        form = self.forms[0] if self.forms else None
+        values, gradients = _run(vehicle, names, np.eye(len(names)), self.task, form, self.width)
         if not all(figure in values and figure in gradients for figure in wanted):
             return None
         return Sloped({figure: values[figure] for figure in wanted}, {figure: gradients[figure] for figure in wanted}, 1)
 
 
-def _run(vehicle: Vehicle, names: Sequence[str], chain: Array, task: Drive | Linear) -> tuple[Figures, dict[str, Array]]:
-    """Return the figures of a run that are numbers, and their gradients; the chain is what the names are of those that vary."""
-    values = {
-        name: float(x) for name, x in run(vehicle, task.cycle, mode=task.mode, dt=task.dt, history=False).figures.items()
-        if isinstance(x, int | float)
-    }  # fmt: skip
-    found = figure_gradient(vehicle, task.cycle, names, mode=task.mode, dt=task.dt)
-    return values, {figure: np.array([of[name] for name in names]) @ chain for figure, of in found.items()}
+def _run(
+    vehicle: Vehicle, names: Sequence[str], chain: Array, task: Drive | Linear, form: Smooth | None, width: float
+) -> tuple[Figures, dict[str, Array]]:
+    """Return the figures of a run and their gradients, of the step or its smooth form; the chain leads from the names to what varies."""
+    wanted = list(needs(stepper_of(vehicle).step))
+    if form is None:
+        found = slopes(vehicle, task.cycle, names, wanted, mode=task.mode, dt=task.dt)
+    else:
+        found = form.slopes(names, wanted, width, vehicle)
+    values, gradients = figure_slopes(vehicle, task.cycle, found)
+    return values, {figure: np.array([of[name] for name in names]) @ chain for figure, of in gradients.items()}
 
 
 def _started(
@@ -192,6 +210,16 @@ class LinearProbe(Probe):
     """A cycle that is driven twice, from either end of the window, for a charge that is kept."""
 
     task: Linear
+    forms: tuple[Smooth, ...] = ()
+    width: float = 0.0
+
+    def rounded(self, vehicle: Vehicle, width: float) -> Probe:
+        """Return the same with tangents of the smooth form of the step."""
+        if self.task.mode != "hybrid":
+            return self
+        starts = vehicle.tags.all_of("start charge")
+        cars = [vehicle.with_values(dict.fromkeys(starts, soc)) for soc in self.ends(vehicle)]
+        return replace(self, forms=tuple(smoothed(car, self.task.cycle, dt=self.task.dt) for car in cars), width=width)
 
     def _end(self, i: int, vehicle: Vehicle) -> float:
         return self.ends(vehicle)[i]
@@ -223,8 +251,8 @@ class LinearProbe(Probe):
         if set(wanted) != {FUEL} or set(vehicle.tags.all_of("start charge")) & set(names):
             return None
         f, df, d, dd = [], [], [], []
-        for i, soc in enumerate(self.ends(vehicle)):
-            values, gradients = _run(*_started(vehicle, names, partial(self._end, i), soc), self.task)
+        for i, (soc, form) in enumerate(zip(self.ends(vehicle), self.forms or (None, None), strict=True)):
+            values, gradients = _run(*_started(vehicle, names, partial(self._end, i), soc), self.task, form, self.width)
             f.append(values[FUEL])
             df.append(gradients[FUEL])
             d.append(values["soc_end"] - values["soc_start"])

@@ -9,12 +9,14 @@ import numpy as np
 from scipy.stats import qmc
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Mask, Tried
+from halfshaft.studies.sizing.evaluator import ROUNDING, Bench, Mask
 from halfshaft.studies.sizing.ipopt import INTERRUPTED, Solved, solve
 from halfshaft.studies.sizing.local import around, descend, mend, search
 
 #: Vehicles of a scan for each variable; it drives no cycle.
 SCAN = 16
+#: So many of them are led toward the limits where none meets all.
+NEAREST = 3
 #: Vehicles of it whose goal is looked at too, for each variable and at most.
 GOALS, MOST_GOALS = 8, 20
 #: Widths of the further scans [of the bounds], from how many points each goes on, and to how many from each.
@@ -115,12 +117,6 @@ def _worth(found: Scan, guess: Callable[[Array], Array]) -> Array:
     return np.where(found.known, guess(found.points) + VIOLATED * found.violation, np.inf)
 
 
-def least_violation(bench: Bench, found: Scan) -> Tried:
-    """Return the vehicle that comes nearest to all limits."""
-    u = bench.rounded(found.points[int(np.argmin(found.violation))])
-    return descend(bench, bench.at(u))
-
-
 def starts_from_scan(bench: Bench, *, starts: int, seed: int) -> list[Array]:
     """Return where to start; nowhere if no vehicle within the bounds meets the limits."""
     bench.stage = "scan"
@@ -128,12 +124,17 @@ def starts_from_scan(bench: Bench, *, starts: int, seed: int) -> list[Array]:
     if (looked.violation <= ROUNDING).any():
         return starts_of(bench, looked, starts, seed)
     bench.stage = "limits"
-    nearest = least_violation(bench, looked)
-    return [bench.scaled(nearest.x)] if nearest.worst <= ROUNDING else []
+    for i in np.argsort(looked.violation, kind="stable")[:NEAREST]:
+        nearest = descend(bench, bench.at(bench.rounded(looked.points[i])))
+        if nearest.holds:
+            return [bench.scaled(nearest.x)]
+    return []
 
 
-def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) -> None:
+def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None], widths: tuple[float, ...] = ()) -> None:
     """Try vehicles until the best is found; what came of it is in the record of the bench, and each run of IPOPT is noted.
+
+    With widths the cycle is first that of the smooth step with these, one after the other, its decisions those where each begins.
 
     Raises
     ------
@@ -149,10 +150,15 @@ def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) 
     try:
         for point in points:
             bench.stage = "ipopt"
-            ends.append(solve(bench, point, iterations=ITERATIONS, cycles=CYCLES))
-            note(ends[-1])
-            if ends[-1].status == INTERRUPTED:
-                raise KeyboardInterrupt
+            for width in (*widths, 0.0):
+                bench.smooth(point, width)
+                solved = solve(bench, point, iterations=ITERATIONS, cycles=CYCLES // (len(widths) + 1))
+                note(solved)
+                point = solved.u
+                if not width or solved.status == INTERRUPTED:
+                    ends.append(solved)
+                if solved.status == INTERRUPTED:
+                    raise KeyboardInterrupt
         done: list[Array] = []
         for solved in _promising(ends):
             if all(np.linalg.norm(solved.u - u) >= APART for u in done):
@@ -161,6 +167,7 @@ def minimise(bench: Bench, points: list[Array], note: Callable[[Solved], None]) 
                 search(bench, solved.u)
                 done.append(solved.u)
     except KeyboardInterrupt:
+        bench.smoothed = {}
         if bench.stage == "ipopt":
             for solved in _promising(ends)[:1]:
                 bench.stage = "exact"
