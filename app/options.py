@@ -63,6 +63,9 @@ Values = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help='A number with unit, motor.J="0.05 kg m^2", or in SI; repeatable.'),
 ]
+Gradient = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="A number to derive the figures by, such as body.c_d; repeatable.")
+]
 Soc = Annotated[float | None, typer.Option(metavar="X", help="State of charge at the start, 0 to 1.")]
 Shown = Annotated[Units, typer.Option("--units", help="What to show: km and L/100 km, or miles, mph and mpg.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
@@ -107,6 +110,13 @@ class Checks:
         names = [key for key, _ in given]
         self.problem(*(f"{key} is set {names.count(key)} times" for key in dict.fromkeys(names) if names.count(key) > 1))
         return None if car is None else self.take(lambda: car.with_values(dict(given)))
+
+    def numbers(self, car: Vehicle | None, names: Sequence[str] | None, option: str) -> None:
+        """Note what is no number of a vehicle by which can be derived."""
+        if car is not None and names:
+            from halfshaft.cosim.gradient import unknown_numbers
+
+            self.problem(*(f"{option}: {problem}" for problem in unknown_numbers(car, names)))
 
     def step(self, dt: float, trace: Cycle | None) -> None:
         """Note a length of step that no run can have."""

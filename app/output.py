@@ -264,26 +264,23 @@ def print_run(result: Result, units: Units = "metric") -> None:
     out.print(Padding(grid, (1, 0, 0, 2), expand=False), highlight=False)
     out.print(_account_table(result))
     if result.gradient:
-        out.print(_gradient_table(result))
+        out.print(gradient_table(result.figures, result.gradient, result.inputs.parameters))
     for text in (*remarks(result, units), *_failures(result)):
         print_line(f"  ! {text}", "yellow")
 
 
-#: Figures whose derivatives are shown, those that there are; JSON has all.
-_DERIVED = ("fuel_equivalent_L_per_100km", "fuel_economy_L_per_100km", "energy_Wh_per_km", "range_m", "soc_end", "trace_miss_max_mps")
-
-
-def _gradient_table(result: Result) -> Table:
-    """Return by how much figures change with 1 % more of a number."""
-    figures = [name for name in _DERIVED if name in result.gradient]
+def gradient_table(figures: Mapping[str, Any], gradient: Mapping[str, Mapping[str, float]], numbers: Mapping[str, float]) -> Table:
+    """Return by how much figures change with 1 % more of a number; of a rating, with 1 more of its unit in SI."""
     table = new_table()
-    table.add_column("1 % more of")
-    for name in figures:
-        table.add_column(f"{name} [{result.figures[name]:.5g}]", justify="right", overflow="fold")
-    for number in next(iter(result.gradient.values())):
-        value = result.inputs.parameters.get(number)
-        changes = [result.gradient[name][number] if value is None else 0.01 * value * result.gradient[name][number] for name in figures]
-        table.add_row(number if value is not None else f"{number} (1 in SI)", *(f"{x:+.3g}" for x in changes))
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for name in next(iter(gradient.values())):
+        table.add_column(f"1 % more of {name}" if name in numbers else f"1 more of {name}", justify="right", overflow="fold")
+    for figure, slopes in gradient.items():
+        changes = [0.01 * numbers[name] * x if name in numbers else x for name, x in slopes.items()]
+        value = figures.get(figure)
+        if value is not None and any(changes):
+            table.add_row(figure, f"{value:.5g}", *(f"{x:+.3g}" for x in changes))
     return table
 
 

@@ -49,7 +49,7 @@ PROGRAMS = {
     "autosize": 5,
     "calibration": 6,
     "tests": 5,
-    "gradients": 2,
+    "gradients": 3,
     "optimal": 2,
     "smooth": 2,
 }

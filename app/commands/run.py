@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from halfshaft.app.options import Checks, CycleName, GradeFile, Json, Mass, Shown, Smooth, Soc, Values, VehicleName
+from halfshaft.app.options import Checks, CycleName, GradeFile, Gradient, Json, Mass, Shown, Smooth, Soc, Values, VehicleName
 from halfshaft.app.output import VIA, busy, print_run, print_run_json, print_written
 from halfshaft.app.program import app
 from halfshaft.cosim.ways import Mode, Via
@@ -44,9 +44,7 @@ def _run(
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the run (.png, .svg, .pdf).")] = None,
     flows: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw where the energy flowed.")] = None,
     points: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the operating points of machines on their maps.")] = None,
-    gradient: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A number to derive the main figures by, body.c_d; repeatable.")
-    ] = None,
+    gradient: Gradient = None,
     units: Shown = "metric",
     as_json: Json = False,
 ) -> None:
@@ -61,10 +59,7 @@ def _run(
         checks.problem(f"mode {mode} runs via step only, not via {via}")
     if gradient and via != "step":
         checks.problem(f"a gradient is found via step only, not via {via}")
-    elif gradient and car is not None:
-        from halfshaft.cosim.gradient import unknown_numbers
-
-        checks.problem(*(f"--gradient: {problem}" for problem in unknown_numbers(car, gradient)))
+    checks.numbers(car, gradient, "--gradient")
     if via in ("fmu2", "fmu3") and trace is not None and checks.step_fits:
         from halfshaft.cosim.fmu import fmu_problems
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from halfshaft.app.options import Checks, Json, Mass, Shown, Values, VehicleName, number_or_text
-from halfshaft.app.output import busy, console, new_table, print_json, print_line
+from halfshaft.app.options import Checks, Gradient, Json, Mass, Shown, Values, VehicleName, number_or_text
+from halfshaft.app.output import busy, console, gradient_table, new_table, print_json, print_line
 from halfshaft.app.program import app
 from halfshaft.cosim.units import SYSTEMS, Units
 from halfshaft.cosim.ways import Mode
@@ -62,6 +62,7 @@ TestName = Annotated[
       halfshaft test small-car-conventional gradeability --speed 90 --grade 6.5 --add-mass 272
       halfshaft test small-car-electric top-speed --units us
       halfshaft test small-car-power-split us06 --correction linear
+      halfshaft test small-car-electric acceleration --gradient body.m
       halfshaft test small-car-plug-in-series wltp --json
       halfshaft test my-car.toml my-procedure.toml
     """,
@@ -96,6 +97,7 @@ def _test(
         typer.Option(help="How a hybrid drives a cycle at a charge that is kept; zero-delta unless said."),
     ] = None,
     mode: Annotated[Mode | None, typer.Option(help="How each step is solved; as the test has it unless said.")] = None,
+    gradient: Gradient = None,
     values: Values = None,
     units: Shown = "metric",
     as_json: Json = False,
@@ -114,13 +116,20 @@ def _test(
         "acceleration": _acceleration, "gradeability": _gradeability, "top-speed": _top_speed, "a procedure": _procedure, "a cycle": _cycle,
     }  # fmt: skip
     task = checks.take(lambda: makers[kind](checks, test, given, mode, units))
-    car = checks.done(car)
+    checks.numbers(car, gradient, "--gradient")
+    car, task = checks.done(car), checks.done(task)
     with busy(f"{test}: {car.name}"):
-        found = checks.done(task)(car)
+        found, slopes = task(car), dict[str, Any]()
+        if gradient:
+            from halfshaft.studies.probes import task_gradient
+
+            slopes = task_gradient(task, car, gradient)
     if as_json:
-        print_json({"vehicle": car.name, "test": test, **_plain(found)})
+        print_json({"vehicle": car.name, "test": test, **_plain(found), **({"gradient": slopes} if gradient else {})})
     else:
         _print(car.name, test, found, units)
+        if gradient:
+            console().print(gradient_table(found.figures, slopes, car.values))
 
 
 def _is_procedure(test: str) -> bool:

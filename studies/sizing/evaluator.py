@@ -18,7 +18,7 @@ import numpy.typing as npt
 from halfshaft.cosim.compiled import Array
 from halfshaft.library.base.errors import HalfshaftError, InputError
 from halfshaft.models.vehicle import Vehicle
-from halfshaft.studies.sizing.probes import Probe, probe_of
+from halfshaft.studies.probes import Probe, probe_of
 from halfshaft.studies.sizing.problem import OWN, Bound, Ref, Term
 
 Mask: TypeAlias = npt.NDArray[np.bool_]

@@ -374,7 +374,7 @@ class _Binder:
 
     def known(self, vehicle: Vehicle) -> dict[str, set[str]]:
         """Return the figures that each task finds; a test of full effort need not reach its own."""
-        from halfshaft.studies.sizing.probes import numbers
+        from halfshaft.studies.probes import numbers
 
         known = {OWN: set(numbers(vehicle))}
         for key, task in self.problem.tasks.items():

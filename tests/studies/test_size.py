@@ -9,11 +9,11 @@ from typer.testing import CliRunner
 from halfshaft import Cycle, InputError, Vehicle, size
 from halfshaft.app.cli import app
 from halfshaft.studies.acceleration import AccelerationTest
+from halfshaft.studies.probes import Probe, crossing_slope, probe_of
 from halfshaft.studies.size import measured_prices, resized
 from halfshaft.studies.sizing.evaluator import Bench
 from halfshaft.studies.sizing.expressions import read_expression
 from halfshaft.studies.sizing.pareto import pareto
-from halfshaft.studies.sizing.probes import Probe, crossing_slope, probe_of
 from halfshaft.studies.sizing.problem import Problem
 from halfshaft.studies.sizing.problem_file import problem_names, read_problem
 from halfshaft.studies.task import Drive, Found

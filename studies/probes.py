@@ -18,10 +18,10 @@ import numpy as np
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import acceleration_cycle
 from halfshaft.cosim.figures import needs
-from halfshaft.cosim.gradient import figure_slopes, slopes
+from halfshaft.cosim.gradient import figure_slopes, slopes, unknown_numbers
 from halfshaft.cosim.simulate import stepper_of
 from halfshaft.cosim.smooth import Smooth, smoothed
-from halfshaft.library.base.errors import HalfshaftError, InputError
+from halfshaft.library.base.errors import HalfshaftError, InputError, nearest
 from halfshaft.library.base.tags import part_of
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.acceleration import (
@@ -47,8 +47,44 @@ from halfshaft.studies.task import Drive, Task
 #: Figures by name, NaN where there is none.
 Figures: TypeAlias = dict[str, float]
 FUEL = "fuel_economy_L_per_100km"
-#: Step of a central difference, over the number or 1.
-STEP = 2e-3
+#: Step of a central difference, over the number or 1; and how finely a grade is found for one [1].
+STEP, FINE = 2e-3, 1e-8
+
+
+def task_gradient(task: Task, vehicle: Vehicle, names: Sequence[str], figures: Sequence[str] = ()) -> dict[str, dict[str, float]]:
+    """Return the derivatives of what a task finds, by figure and number.
+
+    Those of a plain run, of a run with linear correction, of times between speeds and of the top speed are exact, by tangents.  All others
+    are central differences, which jump where the vehicle does.
+
+    Parameters
+    ----------
+    task, vehicle
+        What is done with what.
+    names
+        Numbers by ``role.parameter`` by which is derived.
+    figures
+        Figures of the task; all that it finds, unless given.
+
+    Raises
+    ------
+    InputError
+        If a name is of no number, or the task does not find a figure; all of them are named at once.
+
+    """
+    problems = list(unknown_numbers(vehicle, names))
+    found = dict(task(vehicle).figures) if not problems else {}
+    problems += [f"{task.name} finds no {figure}{nearest(figure, found)}" for figure in figures if found and figure not in found]
+    if problems:
+        raise InputError("gradient", problems)
+    wanted = [figure for figure, x in found.items() if isinstance(x, int | float) and figure in (figures or found)]
+    probe, gradients = probe_of(task), dict[str, Array]()
+    for figure in wanted:
+        if sloped := probe.tangents(vehicle, names, [figure]):
+            gradients |= sloped.gradients
+    if rest := [figure for figure in wanted if figure not in gradients]:
+        gradients |= probe.differences(vehicle, names, rest).gradients
+    return {figure: dict(zip(names, gradients[figure].tolist(), strict=True)) for figure in wanted}
 
 
 class Sloped(NamedTuple):
@@ -105,19 +141,25 @@ class Probe:
 
     def slopes(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped:
         """Return figures with their gradients over numbers of the vehicle."""
-        if sloped := self.tangents(vehicle, names, wanted):
-            return sloped
-        steps = np.array([STEP * (abs(vehicle.values[name]) or 1.0) for name in names])
-        columns = {name: np.full(2 * len(names) + 1, vehicle.values[name]) for name in names}
-        for i, (name, h) in enumerate(zip(names, steps, strict=True)):
-            columns[name][2 * i + 1 : 2 * i + 3] += h, -h
-        found, gradients = self.many(vehicle, columns, wanted), {}
-        for figure, x in found.items():
-            up, down = x[1::2], x[2::2]
-            # At a bound there is one side only.
-            both, one = (up - down) / (2 * steps), np.where(np.isnan(up), x[0] - down, up - x[0]) / steps
-            gradients[figure] = np.where(np.isnan(both), one, both)
-        return Sloped({figure: float(x[0]) for figure, x in found.items()}, gradients, 2 * len(names) + 1)
+        return self.tangents(vehicle, names, wanted) or self.differences(vehicle, names, wanted)
+
+    def differences(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped:
+        """Return the same by central differences.  A number that a rule gives is displaced alone, so that it follows the others."""
+        alone = [[name] for name in names if name in vehicle.derived]
+        groups = [*([together] if (together := [name for name in names if name not in vehicle.derived]) else []), *alone]
+        values, gradients = Figures(), {figure: np.empty(len(names)) for figure in wanted}
+        for group in groups:
+            steps = np.array([STEP * (abs(vehicle.values[name]) or 1.0) for name in group])
+            columns = {name: np.full(2 * len(group) + 1, vehicle.values[name]) for name in group}
+            for i, (name, h) in enumerate(zip(group, steps, strict=True)):
+                columns[name][2 * i + 1 : 2 * i + 3] += h, -h
+            for figure, x in self.many(vehicle, columns, wanted).items():
+                up, down = x[1::2], x[2::2]
+                # At a bound there is one side only.
+                both, one = (up - down) / (2 * steps), np.where(np.isnan(up), x[0] - down, up - x[0]) / steps
+                gradients[figure][[names.index(name) for name in group]] = np.where(np.isnan(both), one, both)
+                values[figure] = float(x[0])
+        return Sloped(values, gradients, 2 * len(names) + len(groups))
 
     def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
         """Return the same by the tangents of runs; None if there is no way."""
@@ -328,6 +370,18 @@ class TopSpeedProbe(Probe):
         return Sloped({wanted[0]: float(v[i])}, {wanted[0]: dv[i]}, 1)
 
 
+@dataclass(frozen=True)
+class GradeProbe(Probe):
+    """A grade, which is found more finely where differences are taken."""
+
+    task: GradeabilityTest
+
+    def differences(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped:
+        """Return figures with their gradients by central differences."""
+        fine = min(FINE, self.task.tolerance or FINE)
+        return Probe(replace(self.task, tolerance=fine)).differences(vehicle, names, wanted)
+
+
 def _felt(
     test: AccelerationTest | TopSpeedTest, vehicle: Vehicle, names: Sequence[str], highest: float, steady: float
 ) -> tuple[Array, Array, Array]:
@@ -414,5 +468,6 @@ def probe_of(task: Task | None) -> Probe:
         Linear: LinearProbe,
         AccelerationTest: FullEffortProbe,
         TopSpeedTest: TopSpeedProbe,
+        GradeabilityTest: GradeProbe,
     }
     return kinds.get(type(task), Probe)(task)
