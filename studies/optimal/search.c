@@ -49,7 +49,7 @@ typedef struct {
   const double *p, *x;       /* parameters, and the state that all begin with */
   long candidates;
   const double *commands;    /* COMMANDS a candidate, for each step */
-  const int *kind;           /* of each candidate; nodes that the last command left differently are told apart */
+  const int *kind;           /* of each candidate, in each step; nodes that the last command left differently are told apart */
   long kinds, families, places;
   const double *price;       /* of each family, in each step: fuel for the energy that is held [1] */
   double bend;               /* by how much less of itself a price is for each joule held beyond `plan` [1/J] */
@@ -200,7 +200,7 @@ static void spread(search_state *s, long k, long group, const double *asked, con
   for (long c = 0; c < j->candidates; ++c) {
     ask_all(j, x, asked + c * (HS_NU + HS_NW), u, w);
     STEP(j, x, u, w, q, xn, y);
-    arrive(j, k, scale, xn, y, s->family + first, s->held + first, j->kind[c], slot, cost);
+    arrive(j, k, scale, xn, y, s->family + first, s->held + first, j->kind[k * j->candidates + c], slot, cost);
     for (int l = 0; l < lanes; ++l) {
       if (slot[l] < 0) continue;
       const int from = (int)first + l;
