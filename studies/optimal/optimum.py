@@ -57,7 +57,7 @@ MOST_DEAD = 4
 #: The corridor's first half width over the range of the charge, and by how much it is narrowed.
 WIDE, NARROWED = 0.5, 0.3
 #: Most passes, and how many that gain less than a share of the fuel are the last ones.
-PASSES, ENOUGH, GAIN = 9, 3, 3e-4
+PASSES, ENOUGH, GAIN = 8, 2, 3e-4
 #: A corridor is touched where the charge comes as near to its edge, as a share of its half width.
 TOUCHED = 0.8
 #: By how much of itself the price of ECMS falls from an empty to a full store.
@@ -198,7 +198,7 @@ def optimal(
     charge: Charge | None = None,
     keep: Sequence[str] = (),
     window: tuple[float, float] | None = None,
-    places: int = 100,
+    places: int = 50,
     points: int = 21,
     dt: float = 1.0,
     threads: int | None = None,
@@ -333,7 +333,10 @@ class _Task:
         low, high, kept = self.prices(candidates, np.geomspace(LOWEST, HIGHEST, PRICES))
         for finer in FINER:
             candidates = self.problem.around(min(kept, key=lambda x: x.fuel).commands, self.points, finer)
-            low, high, more = self.prices(candidates, high * np.linspace(*BESIDE, PRICES))
+            try:
+                low, high, more = self.prices(candidates, high * np.linspace(*BESIDE, PRICES))
+            except SolveError:
+                break  # What the grid alone gave is kept.
             kept += more
         n = len(self.problem.samples.t)
         first, last = 0, n
@@ -439,11 +442,14 @@ def _check(vehicle: Any, cycle: Any, charge: Any, keep: Any, window: Any, places
         stores = vehicle.tags.all_of("start charge")
         if len(stores) > 1:
             problems.append(f"it has several stores, {' and '.join(map(part_of, stores))}: the charge of one is looked for")
-        elif len(commandable) and not [name for name in commandable if name not in keep]:
-            problems.append(f"keep: nothing is left to decide beside {', '.join(keep)}")
         try:
             check_correctable(vehicle)
         except InputError as error:
             problems += error.problems
+        else:
+            if not set(commandable) - set(keep):
+                problems.append(
+                    f"keep: nothing is left to decide beside {', '.join(keep)}" if commandable else "no part of it obeys commands"
+                )
     if problems:
         raise InputError(where, problems)

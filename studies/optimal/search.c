@@ -7,8 +7,8 @@
        slot = family, what the controls remember (run, gear), place of the charge between `low` and `high`
        cost = fuel - price of the family * (energy gained by store and rotors - energy that the method made of nothing)    [J]
 
-   With one family and many places that is dynamic programming over the charge; with many families and one place, minimum search by
-   Lagrange: the charge has a price, and only what the controls remember is looked ahead for.  Dropped is what is slower or faster than it
+   With one family and many places that is dynamic programming over the charge; with many families and one place it is ECMS: energy has a
+   price, and only what the controls remember is looked ahead for.  Dropped is what is slower or faster than it
    may be, or has a charge outside.  Of equal costs the first node and the first candidate count, so that threads change nothing. */
 
 #include <pthread.h>
@@ -80,7 +80,6 @@ typedef struct {
   int *family, *family_then;
   double *held, *held_then;  /* energy gained since the start, by its worth [J] */
   arrival *best;             /* of each thread, by slot */
-  int *winner;               /* slots that something arrived in */
   pthread_mutex_t lock;
   pthread_cond_t all;
   long waiting, round;
@@ -206,8 +205,7 @@ static void spread(search_state *s, long k, long group, const double *asked, con
       const int from = (int)first + l;
       arrival *a = best + slot[l];
       /* Of equal ones the first node and the first candidate. */
-      if (cost[l] > a->cost || (cost[l] == a->cost && (from > a->from || (from == a->from && c > a->by)))) continue;
-      *a = (arrival){cost[l], from, (int)c};
+      if (cost[l] < a->cost || (cost[l] == a->cost && (from < a->from || (from == a->from && c < a->by)))) *a = (arrival){cost[l], from, (int)c};
     }
   }
 }
