@@ -57,7 +57,7 @@ MOST_DEAD = 4
 #: The corridor's first half width over the range of the charge, and by how much it is narrowed.
 WIDE, NARROWED = 0.5, 0.3
 #: Most passes, and how many that gain less than a share of the fuel are the last ones.
-PASSES, ENOUGH, GAIN = 8, 2, 3e-4
+PASSES, ENOUGH, GAIN = 9, 3, 3e-4
 #: A corridor is touched where the charge comes as near to its edge, as a share of its half width.
 TOUCHED = 0.8
 #: By how much of itself the price of ECMS falls from an empty to a full store.
