@@ -114,7 +114,7 @@ def uncertain() -> tuple[Figure, str]:
 
 def best() -> tuple[Figure, str]:
     """Return the best way to drive a parallel hybrid, beside its control."""
-    found = optimal(Vehicle.load("small-car-parallel"), Cycle.load("us06").between(0, 180), places=20, points=11)
+    found = optimal(Vehicle.load("small-car-parallel"), Cycle.load("udds").between(0, 200), places=20, points=11)
     return found.plot(), "A parallel hybrid: power split, gears, charge and fuel of the best way and of the control in use"
 
 

@@ -19,7 +19,7 @@ def prepared(name: str) -> Vehicle:
 
 
 @cache
-def found(name: str, places: int = 100, points: int = 21) -> Optimum:
+def found(name: str, places: int = 50, points: int = 21) -> Optimum:
     """Return the optimum of a vehicle on UDDS."""
     return optimal(prepared(name), UDDS, places=places, points=points)
 
@@ -39,4 +39,4 @@ def test_the_control_in_use_is_no_better_and_ecms_near(name: str) -> None:
     "name", ["small-car-series", "small-car-fuel-cell", "small-car-parallel", "small-car-mild-hybrid", "small-car-power-split"]
 )
 def test_half_the_grid_changes_little(name: str) -> None:
-    assert found(name, 200, 41).best.fuel == pytest.approx(found(name).best.fuel, rel=2e-3)
+    assert found(name, 100, 41).best.fuel == pytest.approx(found(name).best.fuel, rel=2e-3)

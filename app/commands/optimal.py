@@ -46,7 +46,7 @@ def _optimal(
         list[str] | None, typer.Option(metavar="PART", help="What keeps its own law: shift leaves the gears alone; repeatable.")
     ] = None,
     window: Annotated[str | None, typer.Option(metavar="A..B", help="Charge that is not left on the way, 0.4..0.8.")] = None,
-    places: Annotated[int, typer.Option(metavar="N", help="Charges that are told apart.")] = 100,
+    places: Annotated[int, typer.Option(metavar="N", help="Charges that are told apart.")] = 50,
     points: Annotated[int, typer.Option(metavar="N", help="Values that are tried of a power or torque.")] = 21,
     dt: Annotated[float, typer.Option(metavar="S", help="Length of the step [s].")] = 1.0,
     mass: Mass = None,

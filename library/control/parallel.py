@@ -186,7 +186,8 @@ class _ParallelControl(ClutchControl):
         """Take from outside what the engine is asked for."""
         highest = engine.tau_envelope(omega_command)
         asked = clip(where(clutch_open, 0, tau_clutch), 0, highest)
-        tau = clip(share, 0, 1) * asked + clip(share - 1, 0, 1) * (highest - asked)
+        # An engine that is asked for more than it has leaves less of it to its rotor.
+        tau = clip(share, 0, 1) * asked + clip(share - 1, 0, 1) * (ca.fmax(highest, tau_clutch) - asked)
         return {"tau_command": where(engine_on, tau, 0)}
 
     @face(

@@ -50,16 +50,20 @@ Charge: TypeAlias = Literal["kept", "used"]
 CHARGES: tuple[Charge, ...] = get_args(Charge)
 #: Prices that are tried at once, the first ones, and how often their range is cut.
 PRICES, LOWEST, HIGHEST, CUTS = 16, 0.5, 12.0, 3
+#: By how much finer commands near to those that were found are tried, and in which range of prices over the last one.
+FINER, BESIDE = (1, 4), (0.95, 1.03)
 #: So many searches may find no price that keeps the charge.
 MOST_DEAD = 4
 #: The corridor's first half width over the range of the charge, and by how much it is narrowed.
 WIDE, NARROWED = 0.5, 0.3
 #: Most passes, and how many that gain less than a share of the fuel are the last ones.
-PASSES, ENOUGH, GAIN = 8, 2, 5e-4
+PASSES, ENOUGH, GAIN = 9, 3, 3e-4
 #: A corridor is touched where the charge comes as near to its edge, as a share of its half width.
 TOUCHED = 0.8
 #: By how much of itself the price of ECMS falls from an empty to a full store.
 BEND = 1.0
+#: Speed that counts as none where the control in use misses the trace [m/s].
+MISSED = 0.05
 #: Charges that are the same.
 SAME = 1e-12
 #: Where the charge ends if the store does not say.
@@ -194,7 +198,7 @@ def optimal(
     charge: Charge | None = None,
     keep: Sequence[str] = (),
     window: tuple[float, float] | None = None,
-    places: int = 100,
+    places: int = 50,
     points: int = 21,
     dt: float = 1.0,
     threads: int | None = None,
@@ -280,12 +284,9 @@ class _Task:
         n, figures = len(ones), self.in_use.figures
         plan = -self.in_use.account.battery * np.arange(1, n + 1) / n
         bend = BEND / figures["pack_energy_J"]
-        return Bounds(bend, plan, low * ones, high * ones, np.minimum(asked, reached) - HAIR, np.maximum(asked, reached) + HAIR)
-
-    @cached_property
-    def candidates(self) -> Array:
-        """What may be commanded."""
-        return self.problem.candidates(self.points)
+        # Where a limit acts, the speed that is reached hangs on all that was before.
+        hair = np.where(np.abs(asked - reached) > HAIR, MISSED, HAIR)
+        return Bounds(bend, plan, low * ones, high * ones, np.minimum(asked, reached) - hair, np.maximum(asked, reached) + hair)
 
     def optimum(self, notes: tuple[str, ...]) -> Optimum:
         """Look for the best way."""
@@ -303,19 +304,22 @@ class _Task:
 
     def narrowing(self, ecms: Found, price: float) -> Iterator[tuple[float, Found]]:
         """Yield what dynamic programming finds in narrower and narrower corridors, with their half widths."""
-        least, reference, idle = ecms.fuel, self.charge_of(ecms), 0
+        best, reference, idle, widths = ecms, self.charge_of(ecms), 0, list[float]()
         half = WIDE * max(float(np.ptp(reference)), 2 * float(np.abs(np.diff(reference)).max(initial=HAIR)))
         for _ in range(PASSES):
             low, high = self.bounds.low, self.bounds.high
             corridor = self.bounds._replace(low=np.maximum(low, reference - half), high=np.minimum(high, reference + half))
-            ends = self.problem.search(self.candidates, np.array([price]), self.places, corridor, self.threads)
+            candidates = self.problem.around(best.commands, self.points, 4 ** (len(widths) % 3))
+            ends = self.problem.search(candidates, np.array([price]), self.places, corridor, self.threads)
             if (found := self.least(ends)) is None:
                 return
             yield half, found
-            idle = idle + 1 if least - found.fuel < GAIN * least else 0
+            widths.append(half)
+            idle = idle + 1 if best.fuel - found.fuel < GAIN * best.fuel else 0
             if idle == ENOUGH:
                 return
-            least, before, reference = min(least, found.fuel), reference, self.charge_of(found)
+            before, reference = reference, self.charge_of(found)
+            best = min(best, found, key=lambda x: x.fuel)
             if idle or np.max(np.abs(reference - before)) < TOUCHED * half:
                 half *= NARROWED
 
@@ -325,12 +329,20 @@ class _Task:
         Where maps are straight a price decides all or nothing.  So the higher one of two that lie next to each other is paid up to some
         step, then the lower one, with which the charge would not be kept.
         """
-        low, high, kept = self.prices()
+        candidates = self.problem.candidates(self.points)
+        low, high, kept = self.prices(candidates, np.geomspace(LOWEST, HIGHEST, PRICES))
+        for finer in FINER:
+            candidates = self.problem.around(min(kept, key=lambda x: x.fuel).commands, self.points, finer)
+            try:
+                low, high, more = self.prices(candidates, high * np.linspace(*BESIDE, PRICES))
+            except SolveError:
+                break  # What the grid alone gave is kept.
+            kept += more
         n = len(self.problem.samples.t)
         first, last = 0, n
         while last - first > 1:
             switch = np.unique(np.linspace(first, last, PRICES).round().astype(int))
-            ends = self.search(np.where(np.arange(n)[:, None] < switch, high, low))
+            ends = self.search(candidates, np.where(np.arange(n)[:, None] < switch, high, low))
             fit = [(int(at), x) for family, at in enumerate(switch) if (x := self.least(ends, family)) is not None]
             if not fit:
                 break
@@ -339,7 +351,7 @@ class _Task:
             first = max((int(at) for at in switch if at < last), default=last)
         return min(kept, key=lambda x: x.fuel), high
 
-    def prices(self) -> tuple[float, float, list[Found]]:
+    def prices(self, candidates: Array, first: Array) -> tuple[float, float, list[Found]]:
         """Return two prices next to each other, of which the higher one keeps the charge, and ways that keep it.
 
         Raises
@@ -348,16 +360,16 @@ class _Task:
             If no price keeps it.
 
         """
-        prices, cuts, kept = np.geomspace(LOWEST, HIGHEST, PRICES), 0, list[Found]()
+        prices, cuts, kept = first, 0, list[Found]()
         for _ in range(CUTS + MOST_DEAD):
-            ends = self.search(prices)
+            ends = self.search(candidates, prices)
             best = [self.least(ends, family) for family in range(len(prices))]
             enough = [i for i, x in enumerate(best) if x is not None]
             # What is left on the way has another price: too low a one, as a rule, leaves the store empty.
             short = [i for i in set(ends.end[:, 0].astype(int).tolist()) if i not in enough]
             if enough:
                 kept += [x for x in best if x is not None]
-                low, high, cuts = prices[enough[0] - 1] if enough[0] else 0.0, prices[enough[0]], cuts + 1
+                low, high, cuts = prices[enough[0] - 1] if enough[0] else 0.5 * prices[0], prices[enough[0]], cuts + 1
                 if cuts == CUTS:
                     return low, high, kept
                 prices = np.linspace(low, high, PRICES)
@@ -370,9 +382,9 @@ class _Task:
         at = "" if ends.dead is None else f"; at t = {ends.dead:g} s nothing follows the trace any more"
         raise SolveError(f"{self.cycle.name}: no price of the charge leads to {self.target:.4f} at the end{at}")
 
-    def search(self, prices: Array) -> Ends:
+    def search(self, candidates: Array, prices: Array) -> Ends:
         """Search with prices alone: all charges have one place."""
-        return self.problem.search(self.candidates, prices, 1, self.bounds, self.threads)
+        return self.problem.search(candidates, prices, 1, self.bounds, self.threads)
 
     def least(self, ends: Ends, family: int = 0) -> Found | None:
         """Return what leaves enough charge for the least fuel, at one of the prices; None where nothing does."""
@@ -430,11 +442,14 @@ def _check(vehicle: Any, cycle: Any, charge: Any, keep: Any, window: Any, places
         stores = vehicle.tags.all_of("start charge")
         if len(stores) > 1:
             problems.append(f"it has several stores, {' and '.join(map(part_of, stores))}: the charge of one is looked for")
-        elif len(commandable) and not [name for name in commandable if name not in keep]:
-            problems.append(f"keep: nothing is left to decide beside {', '.join(keep)}")
         try:
             check_correctable(vehicle)
         except InputError as error:
             problems += error.problems
+        else:
+            if not set(commandable) - set(keep):
+                problems.append(
+                    f"keep: nothing is left to decide beside {', '.join(keep)}" if commandable else "no part of it obeys commands"
+                )
     if problems:
         raise InputError(where, problems)

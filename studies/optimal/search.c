@@ -7,8 +7,8 @@
        slot = family, what the controls remember (run, gear), place of the charge between `low` and `high`
        cost = fuel - price of the family * (energy gained by store and rotors - energy that the method made of nothing)    [J]
 
-   With one family and many places that is dynamic programming over the charge; with many families and one place, minimum search by
-   Lagrange: the charge has a price, and only what the controls remember is looked ahead for.  Dropped is what is slower or faster than it
+   With one family and many places that is dynamic programming over the charge; with many families and one place it is ECMS: energy has a
+   price, and only what the controls remember is looked ahead for.  Dropped is what is slower or faster than it
    may be, or has a charge outside.  Of equal costs the first node and the first candidate count, so that threads change nothing. */
 
 #include <pthread.h>
@@ -49,7 +49,7 @@ typedef struct {
   const double *p, *x;       /* parameters, and the state that all begin with */
   long candidates;
   const double *commands;    /* COMMANDS a candidate, for each step */
-  const int *kind;           /* of each candidate; nodes that the last command left differently are told apart */
+  const int *kind;           /* of each candidate, in each step; nodes that the last command left differently are told apart */
   long kinds, families, places;
   const double *price;       /* of each family, in each step: fuel for the energy that is held [1] */
   double bend;               /* by how much less of itself a price is for each joule held beyond `plan` [1/J] */
@@ -80,7 +80,6 @@ typedef struct {
   int *family, *family_then;
   double *held, *held_then;  /* energy gained since the start, by its worth [J] */
   arrival *best;             /* of each thread, by slot */
-  int *winner;               /* slots that something arrived in */
   pthread_mutex_t lock;
   pthread_cond_t all;
   long waiting, round;
@@ -200,14 +199,13 @@ static void spread(search_state *s, long k, long group, const double *asked, con
   for (long c = 0; c < j->candidates; ++c) {
     ask_all(j, x, asked + c * (HS_NU + HS_NW), u, w);
     STEP(j, x, u, w, q, xn, y);
-    arrive(j, k, scale, xn, y, s->family + first, s->held + first, j->kind[c], slot, cost);
+    arrive(j, k, scale, xn, y, s->family + first, s->held + first, j->kind[k * j->candidates + c], slot, cost);
     for (int l = 0; l < lanes; ++l) {
       if (slot[l] < 0) continue;
       const int from = (int)first + l;
       arrival *a = best + slot[l];
       /* Of equal ones the first node and the first candidate. */
-      if (cost[l] > a->cost || (cost[l] == a->cost && (from > a->from || (from == a->from && c > a->by)))) continue;
-      *a = (arrival){cost[l], from, (int)c};
+      if (cost[l] < a->cost || (cost[l] == a->cost && (from < a->from || (from == a->from && c < a->by)))) *a = (arrival){cost[l], from, (int)c};
     }
   }
 }

@@ -27,6 +27,8 @@ from halfshaft.library.base.errors import CompileError, SolveError
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.vehicle import Vehicle
 
+#: Parts of a step of the grid by which shares near to those that were found differ from them.
+PARTED = np.linspace(-0.75, 0.75, 7)
 #: So many gears are told apart; so many parts of a share whose effect lasts beside places of the charge, and without.
 GEARS, PARTS, MOST = 16, 8, 1e6
 #: Lines of the account that a price is paid for, with their worth over the store's energy: what the store gains, and what moves, which
@@ -94,10 +96,22 @@ class Problem:
                 rows.append(values)
         return np.array(rows, dtype=float)
 
+    def around(self, commands: Array, points: int, finer: int) -> Array:
+        """Return for each step what may be commanded near to what was: shares a part of a step of the grid to both sides."""
+        grid, offsets = self.candidates(points), []
+        for i, c in enumerate(self.step.commands.values()):
+            if c.kind == "share":
+                near = np.broadcast_to(commands[:, None, :], (len(commands), len(PARTED), commands.shape[1])).copy()
+                step = np.diff(np.unique(grid[:, i])).min()
+                near[:, :, i] += step / finer * PARTED
+                near[:, :, i] = np.clip(near[:, :, i], c.lowest, c.highest)
+                offsets.append(near)
+        return np.concatenate([np.broadcast_to(grid, (len(commands), *grid.shape)), *offsets], axis=1)
+
     def kinds(self, candidates: Array, parts: float) -> Array:
         """Return of each candidate by what nodes are told apart that it leads to: flags, and parts of shares whose effect lasts."""
         kept = [(i, parts if c.lasts else 1) for i, c in enumerate(self.step.commands.values()) if c.lasts or c.kind == "flag"]
-        return np.column_stack([np.floor(candidates[:, i] * n) for i, n in kept])
+        return np.stack([np.floor(candidates[..., i] * n) for i, n in kept], axis=-1)
 
     def replay(self, commands: Array) -> tuple[Array, Array]:
         """Return outputs and last state of the exact step under commands."""
@@ -131,13 +145,14 @@ class Problem:
         """
         step, n = self.step, len(self.samples.t)
         memories = [step.state_index[f"{name.partition('.')[0]}.{c.memory}"] for name, c in step.commands.items() if c.memory]
-        kinds, kind = np.unique(self.kinds(candidates, PARTS if places > 1 else MOST), axis=0, return_inverse=True)
+        each = np.ascontiguousarray(np.broadcast_to(candidates, (n, *candidates.shape[-2:])))
+        told_apart = self.kinds(each, PARTS if places > 1 else MOST)
+        kinds, kind = np.unique(told_apart.reshape(-1, told_apart.shape[-1]), axis=0, return_inverse=True)
         bookings = [d.booking for d in _in_lanes(step).outputs]
         held, errors = ([i for i, booking in enumerate(bookings) if booking in lines] for lines in (HELD, ERRORS))
         worth = [*(HELD[bookings[i]] for i in held), *(ERRORS[bookings[i]] for i in errors)]
         fuels = step.tags.by_part("fuel mass")
         heating = {part: self.vehicle.values[name] for part, name in self.vehicle.tags.by_part("fuel heating value").items()}
-        each = np.ascontiguousarray(np.broadcast_to(candidates, (n, *candidates.shape)))
         families = prices.shape[-1]
         most = families * len(kinds) * places * GEARS ** len(memories)
         whole = [np.array(x, dtype=np.intc) for x in ([step.state_index[f] for f in fuels.values()], held, errors, memories, kind)]
@@ -149,7 +164,7 @@ class Problem:
         distance, grade = s.grade_by_distance or (None, None)
         job = _Job(
             n, *map(address, (s.dt, s.v, s.grade, s.key_on)), 0 if distance is None else len(distance), *map(address, (distance, grade)),
-            address(self.parameters), address(x), len(candidates), address(each), address(whole[4]), len(kinds), families, places,
+            address(self.parameters), address(x), each.shape[1], address(each), address(whole[4]), len(kinds), families, places,
             address(numbers[0]), bounds.bend, *map(address, numbers[3:]), step.state_index[step.tags.the("charge")],
             len(fuels), address(whole[0]), address(numbers[1]), len(held), len(errors),
             *map(address, whole[1:3]), address(numbers[2]),
