@@ -21,7 +21,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from halfshaft import Cycle, Record, Vehicle, calibrate, component_names, plot_run, run, uncertainty
+from halfshaft import Cycle, Record, Vehicle, calibrate, component_names, optimal, plot_run, run, uncertainty
 from halfshaft.app.show import any_component
 from halfshaft.cosim.maps import plot_maps
 from halfshaft.cosim.smooth import smoothed
@@ -110,6 +110,12 @@ def uncertain() -> tuple[Figure, str]:
     return found.plot(), "Consumption of the electric car on UDDS: samples, first order, and shares of the variance"
 
 
+def best() -> tuple[Figure, str]:
+    """Return the best way to drive a parallel hybrid, beside its control."""
+    found = optimal(Vehicle.load("small-car-parallel"), Cycle.load("us06").between(0, 180), places=20, points=11)
+    return found.plot(), "A parallel hybrid: power split, gears, charge and fuel of the best way and of the control in use"
+
+
 PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
     "one-run": one_run,
     "overlaid": overlaid,
@@ -117,6 +123,7 @@ PICTURES: dict[str, Callable[[], tuple[Figure, str]]] = {
     "calibrated": calibrated,
     "coast-down": coasted,
     "uncertain": uncertain,
+    "optimal": best,
     **{f"sized-{kind}": partial(sized, f"small-car-{kind}") for kind in ("series", "parallel", "conventional", "electric")},
 }
 

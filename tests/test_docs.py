@@ -51,6 +51,7 @@ PROGRAMS = {
     "tests": 5,
     "gradients": 2,
     "smooth": 2,
+    "optimal": 2,
 }
 
 

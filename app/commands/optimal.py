@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 from rich.markup import escape
@@ -15,6 +15,7 @@ from halfshaft.cosim.units import SYSTEMS, Units
 
 if TYPE_CHECKING:
     from halfshaft.studies.optimal import Optimum
+    from halfshaft.studies.optimal.optimum import Charge
 
 
 @app.command(
@@ -71,7 +72,9 @@ def _optimal(
     car, driven = checks.done(found), checks.done(trace)
     with busy(f"optimal: {car.name}"):
         # What is not allowed is found by the study, with all else that is wrong.
-        both = optimal(car, driven, charge=charge, keep=keep or (), window=between, places=places, points=points, dt=dt)
+        both = optimal(
+            car, driven, charge=cast("Charge | None", charge), keep=keep or (), window=between, places=places, points=points, dt=dt
+        )
     if plot is not None:
         both.plot(units=units, path=plot)
     if out is not None:
@@ -98,7 +101,7 @@ def _json(optimum: Optimum) -> dict[str, object]:
         "vehicle": optimum.vehicle.name,
         "cycle": optimum.cycle.name,
         "ways": optimum.figures(),
-        "equivalence_factor": optimum.equivalence,
+        "equivalence_factor": optimum.price,
         "passes": [p._asdict() for p in optimum.passes],
         "commands": {name: row.tolist() for name, row in optimum.best.commands.items()},
         "notes": optimum.notes,
@@ -108,7 +111,7 @@ def _json(optimum: Optimum) -> dict[str, object]:
 def _print(optimum: Optimum, units: Units) -> None:
     """Print the three ways beside each other."""
     out = console()
-    how = f"{optimum.cycle.name}, a store's energy is worth {optimum.equivalence:.2f} of fuel"
+    how = f"{optimum.cycle.name}, a store's energy is worth {optimum.price:.2f} of fuel"
     out.print(f"[bold]{escape(optimum.vehicle.name)}[/]  [dim]{escape(how)}[/]", highlight=False, soft_wrap=True)
     table = new_table()
     headings = ("way", f"fuel [{SYSTEMS[units]['economy'].name}]", "over best [%]", "charge [%]", "to [%]", "source on [%]", "starts")

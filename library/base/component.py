@@ -255,8 +255,11 @@ class Component:
         """Return the declared variables and those that a subclass derives."""
         return self.variables
 
-    def faces(self, mark: str = "_gives") -> Iterator[Face]:
+    def faces(self) -> Iterator[Face]:
         """Yield the faces."""
+        return self._marked("_gives")
+
+    def _marked(self, mark: str) -> Iterator[Face]:
         for name in dir(type(self)):
             gives = getattr(getattr(type(self), name), mark, None)
             if gives is not None:
@@ -266,7 +269,7 @@ class Component:
 
     def commanded_faces(self) -> Iterator[Face]:
         """Yield the faces that obey commands."""
-        return self.faces("_commanded_gives")
+        return self._marked("_commanded_gives")
 
     def plant_faces(self) -> Iterator[Face]:
         """Yield the faces of the forward-facing model, laws included."""

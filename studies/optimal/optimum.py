@@ -4,9 +4,11 @@ Of a hybrid everything stays as it is but the decisions of its controls: whether
 from outside (`halfshaft.library.base.component.Command`), and two methods look for the best ones, both on the exact step, over the whole
 cycle, and with the charge at the end that the control in use ends with:
 
-*ECMS* gives the charge a price, the same all the way, and minimises the fuel less what the charge is worth; the price (the co-state of
-Pontryagin's principle) is that at which the charge is kept, found by search for a root.  What a start or a change of gear costs shows a
-step later, so decisions that last are looked ahead for; a minimum taken step by step would never start an engine that must spin up first.
+*ECMS* gives the store's energy a price and minimises the fuel less what that energy is worth; the price (the equivalence factor, the
+co-state of Pontryagin's principle) is that at which the charge is kept, found by search for a root.  What a start or a change of gear
+costs shows a step later, so decisions that last are looked ahead for; a minimum taken step by step would never start an engine that must
+spin up first.  Where a price decides all or nothing, as between running always and never, no price keeps the charge: so it falls as the
+store fills (`BEND`), and where maps are straight two neighbouring prices are paid one after the other.
 
 *Dynamic programming* tells vehicles apart by their charge too.  Forward in time each of them is stepped with each command, and where
 several come to the same place the one that burnt least is kept, with its whole state.  So no value is interpolated, and each fuel that is
@@ -18,7 +20,7 @@ The control in use is held against both where all three start and end with the s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +37,7 @@ from halfshaft.library.base.errors import InputError, SolveError, nearest, not_a
 from halfshaft.library.base.tags import Tag, part_of
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.crew import cores
-from halfshaft.studies.optimal.search import HAIR, Bounds, Ends, Found, Problem, pack_energy
+from halfshaft.studies.optimal.search import HAIR, Bounds, Ends, Found, Problem
 from halfshaft.studies.soc_correction import ZeroDelta, check_correctable
 
 if TYPE_CHECKING:
@@ -46,8 +48,8 @@ if TYPE_CHECKING:
 #: What the charge at the end shall be: as at the start, as far as the control in use can keep it; or whatever that leaves of it.
 Charge: TypeAlias = Literal["kept", "used"]
 CHARGES: tuple[Charge, ...] = get_args(Charge)
-#: Prices that are tried at once, the first ones as the energy of a fuel over that of the store, and how often their range is cut.
-PRICES, LOWEST, HIGHEST, CUTS = 16, 0.5, 12.0, 4
+#: Prices that are tried at once, the first ones, and how often their range is cut.
+PRICES, LOWEST, HIGHEST, CUTS = 16, 0.5, 12.0, 3
 #: So many searches may find no price that keeps the charge.
 MOST_DEAD = 4
 #: The corridor's first half width over the range of the charge, and by how much it is narrowed.
@@ -56,6 +58,8 @@ WIDE, NARROWED = 0.5, 0.3
 PASSES, ENOUGH, GAIN = 8, 2, 5e-4
 #: A corridor is touched where the charge comes as near to its edge, as a share of its half width.
 TOUCHED = 0.8
+#: By how much of itself the price of ECMS falls from an empty to a full store.
+BEND = 1.0
 #: Charges that are the same.
 SAME = 1e-12
 #: Where the charge ends if the store does not say.
@@ -95,7 +99,7 @@ class Optimum:
     in_use, ecms, best
         The control in use; ECMS; and the least fuel that was found.
     price
-        Price of the charge that ECMS paid: energy of fuel for the whole charge [J].
+        What ECMS paid for the store's energy: that of fuel over it, the equivalence factor.
     passes
         The passes of dynamic programming.
     notes
@@ -120,18 +124,14 @@ class Optimum:
         """All three, the control in use first."""
         return self.in_use, self.ecms, self.best
 
-    @property
-    def equivalence(self) -> float:
-        """Price of the charge as the energy of fuel over that of the store: its equivalence factor."""
-        return self.price / pack_energy(self.vehicle)
-
     def charge(self, way: Way) -> Array:
         """Return the state of charge over time."""
         return way.result.the("charge")
 
     def fuel(self, way: Way) -> float:
-        """Return the energy of the fuel with a surplus of charge at the end taken off by its price [J]."""
-        return way.fuel - self.price * float(self.charge(way)[-1] - self.charge(self.in_use)[-1])
+        """Return the energy of the fuel, less the price of the charge that a way ends with beyond that of the control in use [J]."""
+        surplus = float(self.charge(way)[-1] - self.charge(self.in_use)[-1])
+        return way.fuel - self.price * surplus * float(self.in_use.result.figures["pack_energy_J"])
 
     def excess(self, way: Way) -> float:
         """Return how much more fuel a way takes than the best one, over that."""
@@ -240,6 +240,8 @@ def optimal(
             notes = (f"the control in use does not keep its charge: {len(corrected.record)} runs were tried",)
     else:
         in_use = run(vehicle, cycle, dt=dt)
+    if in_use.figures["trace_miss_max_mps"] > in_use.inputs.parameters[in_use.tags.the("miss threshold")]:
+        notes = (*notes, "the control in use misses the trace: the other ways may be as slow there, but no slower")
     if not in_use.account.fuel > 0:
         told = f"the control in use burns no fuel over {cycle.name}, so none can be saved; drive further, or start with less charge"
         raise InputError(f"optimum of '{vehicle.name}'", [told])
@@ -275,7 +277,10 @@ class _Task:
         low, high = self.window or ends
         if self.window is None:
             low, high = min(low, charge.min() - HAIR), max(high, charge.max() + HAIR)
-        return Bounds(low * ones, high * ones, np.minimum(asked, reached) - HAIR, np.maximum(asked, reached) + HAIR)
+        n, figures = len(ones), self.in_use.figures
+        plan = -self.in_use.account.battery * np.arange(1, n + 1) / n
+        bend = BEND / figures["pack_energy_J"]
+        return Bounds(bend, plan, low * ones, high * ones, np.minimum(asked, reached) - HAIR, np.maximum(asked, reached) + HAIR)
 
     @cached_property
     def candidates(self) -> Array:
@@ -284,31 +289,58 @@ class _Task:
 
     def optimum(self, notes: tuple[str, ...]) -> Optimum:
         """Look for the best way."""
-        ecms = self.ecms()
-        found, passes, idle = ecms, list[Pass](), 0
-        reference = self.charge_of(ecms)
+        ecms, price = self.ecms()
+        passes = list[tuple[float, Found]]()
+        try:
+            for done in self.narrowing(ecms, price):
+                passes.append(done)
+        except KeyboardInterrupt:
+            notes = (*notes, f"interrupted after {len(passes)} passes: the best so far")
+        found = min((ecms, *(x for _, x in passes)), key=lambda x: x.fuel)
+        vehicle = self.problem.vehicle
+        ways = (Way("control in use", self.in_use, {}), self.way("ECMS", ecms), self.way("best", found))
+        return Optimum(vehicle, self.cycle, *ways, price, tuple(Pass(half, x.fuel) for half, x in passes), notes)
+
+    def narrowing(self, ecms: Found, price: float) -> Iterator[tuple[float, Found]]:
+        """Yield what dynamic programming finds in narrower and narrower corridors, with their half widths."""
+        least, reference, idle = ecms.fuel, self.charge_of(ecms), 0
         half = WIDE * max(float(np.ptp(reference)), 2 * float(np.abs(np.diff(reference)).max(initial=HAIR)))
         for _ in range(PASSES):
             low, high = self.bounds.low, self.bounds.high
             corridor = self.bounds._replace(low=np.maximum(low, reference - half), high=np.minimum(high, reference + half))
-            ends = self.problem.search(self.candidates, [ecms.price], self.places, corridor, self.threads)
-            if (better := self.least(ends)) is None:
-                break
-            before, at = found.fuel, self.charge_of(better)
-            passes.append(Pass(half, better.fuel))
-            found = better if better.fuel < found.fuel else found
-            idle = idle + 1 if before - found.fuel < GAIN * before else 0
+            ends = self.problem.search(self.candidates, np.array([price]), self.places, corridor, self.threads)
+            if (found := self.least(ends)) is None:
+                return
+            yield half, found
+            idle = idle + 1 if least - found.fuel < GAIN * least else 0
             if idle == ENOUGH:
-                break
-            if idle or np.max(np.abs(at - reference)) < TOUCHED * half:
+                return
+            least, before, reference = min(least, found.fuel), reference, self.charge_of(found)
+            if idle or np.max(np.abs(reference - before)) < TOUCHED * half:
                 half *= NARROWED
-            reference = at
-        vehicle = self.problem.vehicle
-        ways = (Way("control in use", self.in_use, {}), self.way("ECMS", ecms), self.way("best", found))
-        return Optimum(vehicle, self.cycle, *ways, ecms.price, tuple(passes), notes)
 
-    def ecms(self) -> Found:
-        """Return the commands of least fuel less the worth of the charge, at the lowest price that keeps it.
+    def ecms(self) -> tuple[Found, float]:
+        """Return the commands of least fuel less the worth of the charge, and the lowest price of it that keeps it.
+
+        Where maps are straight a price decides all or nothing.  So the higher one of two that lie next to each other is paid up to some
+        step, then the lower one, with which the charge would not be kept.
+        """
+        low, high, kept = self.prices()
+        n = len(self.problem.samples.t)
+        first, last = 0, n
+        while last - first > 1:
+            switch = np.unique(np.linspace(first, last, PRICES).round().astype(int))
+            ends = self.search(np.where(np.arange(n)[:, None] < switch, high, low))
+            fit = [(int(at), x) for family, at in enumerate(switch) if (x := self.least(ends, family)) is not None]
+            if not fit:
+                break
+            kept += [x for _, x in fit]
+            last = fit[0][0]
+            first = max((int(at) for at in switch if at < last), default=last)
+        return min(kept, key=lambda x: x.fuel), high
+
+    def prices(self) -> tuple[float, float, list[Found]]:
+        """Return two prices next to each other, of which the higher one keeps the charge, and ways that keep it.
 
         Raises
         ------
@@ -316,31 +348,31 @@ class _Task:
             If no price keeps it.
 
         """
-        energy, kept = pack_energy(self.problem.vehicle), list[Found]()
-        prices, cuts, dead = energy * np.geomspace(LOWEST, HIGHEST, PRICES), 0, 0
-        while cuts < CUTS:
-            ends = self.problem.search(self.candidates, prices, 1, self.bounds, self.threads)
+        prices, cuts, kept = np.geomspace(LOWEST, HIGHEST, PRICES), 0, list[Found]()
+        for _ in range(CUTS + MOST_DEAD):
+            ends = self.search(prices)
             best = [self.least(ends, family) for family in range(len(prices))]
             enough = [i for i, x in enumerate(best) if x is not None]
             # What is left on the way has another price: too low a one, as a rule, leaves the store empty.
             short = [i for i in set(ends.end[:, 0].astype(int).tolist()) if i not in enough]
             if enough:
                 kept += [x for x in best if x is not None]
-                low, high, cuts = max(enough[0] - 1, 0), enough[0], cuts + 1
-                prices = np.linspace(prices[low] if enough[0] else 0.0, prices[high], PRICES)
+                low, high, cuts = prices[enough[0] - 1] if enough[0] else 0.0, prices[enough[0]], cuts + 1
+                if cuts == CUTS:
+                    return low, high, kept
+                prices = np.linspace(low, high, PRICES)
             elif short and max(short) + 1 < len(prices):
                 prices = np.linspace(prices[max(short)], prices[max(short) + 1], PRICES)
-                dead += 1
             elif short:
                 prices = prices[-1] * np.geomspace(1, HIGHEST, PRICES)
-                dead += 1
             else:
-                prices = energy * np.geomspace(LOWEST, HIGHEST, 3 * len(prices))
-                dead += 1
-            if dead > MOST_DEAD:
-                at = "" if ends.dead is None else f"; at t = {ends.dead:g} s nothing follows the trace any more"
-                raise SolveError(f"{self.cycle.name}: no price of the charge leads to {self.target:.4f} at the end{at}")
-        return min(kept, key=lambda x: x.fuel)
+                prices = np.geomspace(LOWEST, HIGHEST, 3 * len(prices))
+        at = "" if ends.dead is None else f"; at t = {ends.dead:g} s nothing follows the trace any more"
+        raise SolveError(f"{self.cycle.name}: no price of the charge leads to {self.target:.4f} at the end{at}")
+
+    def search(self, prices: Array) -> Ends:
+        """Search with prices alone: all charges have one place."""
+        return self.problem.search(self.candidates, prices, 1, self.bounds, self.threads)
 
     def least(self, ends: Ends, family: int = 0) -> Found | None:
         """Return what leaves enough charge for the least fuel, at one of the prices; None where nothing does."""

@@ -146,8 +146,8 @@ def _fuel(ax: Axes, time: Array, optimum: Optimum, units: Units) -> None:
     for way, colour in zip(optimum.ways, _TINTS, strict=True):
         r, p = way.result, way.result.inputs.parameters
         density = {part: p[name] for part, name in r.tags.by_part("fuel density").items()}
-        litres = sum(1e3 * r[name] / density[part] for part, name in r.tags.by_part("fuel mass").items())
-        ax.plot(time, np.concatenate([[0.0], unit.of(litres)]), color=colour, lw=1.3)
+        litres = np.sum([1e3 * r[name] / density[part] for part, name in r.tags.by_part("fuel mass").items()], axis=0)
+        ax.plot(time, np.concatenate([[0.0], unit.of(1.0) * litres]), color=colour, lw=1.3)
     ax.set_ylim(0, None)
     ax.yaxis.set_major_locator(MaxNLocator(4))
     ax.set_ylabel(f"fuel [{unit.name}]")

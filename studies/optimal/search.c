@@ -5,7 +5,7 @@
    those that arrive in the same slot the one of the least cost is kept:
 
        slot = family, what the controls remember (run, gear), place of the charge between `low` and `high`
-       cost = fuel - price of the family * charge                                                                      [J]
+       cost = fuel - price of the family * (energy gained by store and rotors - energy that the method made of nothing)    [J]
 
    With one family and many places that is dynamic programming over the charge; with many families and one place, minimum search by
    Lagrange: the charge has a price, and only what the controls remember is looked ahead for.  Dropped is what is slower or faster than it
@@ -51,14 +51,16 @@ typedef struct {
   const double *commands;    /* COMMANDS a candidate, for each step */
   const int *kind;           /* of each candidate; nodes that the last command left differently are told apart */
   long kinds, families, places;
-  const double *price;       /* of a family: fuel for the whole charge [J] */
+  const double *price;       /* of each family, in each step: fuel for the energy that is held [1] */
+  double bend;               /* by how much less of itself a price is for each joule held beyond `plan` [1/J] */
+  const double *plan;        /* after each step [J] */
   const double *low, *high, *slowest, *fastest; /* after each step */
   long at_charge, fuels;
   const int *at_fuel;        /* states */
   const double *heating;     /* of each fuel [J/kg] */
-  long motions, errors;
-  const int *at_motion, *at_error; /* outputs: powers into what moves, and those that the method loses [W] */
-  double worth;              /* of motion: charge for an energy [1/J] */
+  long powers, errors;
+  const int *at_power, *at_error; /* outputs: powers that are held, and those that the method loses [W] */
+  const double *worth;       /* of each of these powers, and of the errors, over the store's [1] */
   long memories;
   const int *at_memory;      /* states that hold whole numbers, told apart up to KEPT */
   /* What is found: of each step how many nodes there are, which node each comes from and by which candidate. */
@@ -76,7 +78,7 @@ typedef struct {
   long slots, threads, next, nodes;
   double *now, *then;        /* states of nodes */
   int *family, *family_then;
-  double *motion, *motion_then; /* energy since the start: in what moves, less what the method gained [J] */
+  double *held, *held_then;  /* energy gained since the start, by its worth [J] */
   arrival *best;             /* of each thread, by slot */
   int *winner;               /* slots that something arrived in */
   pthread_mutex_t lock;
@@ -117,11 +119,16 @@ static double fuel_of(const search_job *j, const double *x, int l) {
 #pragma GCC optimize("O3")
 #endif
 
-static double motion_of(const search_job *j, long k, const double *y, int l) {
-  double P = 0;
-  for (long i = 0; i < j->motions; ++i) P += AT(y, j->at_motion[i], l);
-  for (long i = 0; i < j->errors; ++i) P += fmin(AT(y, j->at_error[i], l), 0);
-  return P * j->dt[k];
+/* Find the energy that each lane holds after a step. */
+static void hold(const search_job *j, long k, const double *y, const double *before, double *held) {
+  const double dt = j->dt[k];
+  double P[HS_LANES] = {0};
+  for (long i = 0; i < j->powers + j->errors; ++i) {
+    const double *own = &AT(y, i < j->powers ? j->at_power[i] : j->at_error[i - j->powers], 0), worth = j->worth[i];
+    const double most = i < j->powers ? HUGE_VAL : 0;
+    for (int l = 0; l < HS_LANES; ++l) P[l] += worth * (own[l] < most ? own[l] : most);
+  }
+  for (int l = 0; l < HS_LANES; ++l) held[l] = before[l] + dt * P[l];
 }
 
 /* Give what lane `l` is asked for in step `k`, with a candidate; `u` and `w` are those of the candidate on a level road. */
@@ -153,15 +160,16 @@ static void ask_all(const search_job *j, const double *x, const double *own, dou
 }
 
 /* Find the slot in which each lane arrives, or -1, and at what cost. */
-static void arrive(const search_job *j, long k, double scale, const double *x, const double *y, const int *family, const double *motion,
+static void arrive(const search_job *j, long k, double scale, const double *x, const double *y, const int *family, const double *held,
                    int kind, int *slot, double *cost) {
-  const double slowest = j->slowest[k], fastest = j->fastest[k], low = j->low[k], high = j->high[k], dt = j->dt[k];
+  const double slowest = j->slowest[k], fastest = j->fastest[k], low = j->low[k], high = j->high[k];
   const int places = (int)j->places, kinds = (int)j->kinds;
-  const double *v = &AT(x, HS_X_V, 0), *charge = &AT(x, j->at_charge, 0);
-  double moved[HS_LANES];
+  const double *price = j->price + k * j->families, *v = &AT(x, HS_X_V, 0), *charge = &AT(x, j->at_charge, 0);
+  double after[HS_LANES];
+  hold(j, k, y, held, after);
   for (int l = 0; l < HS_LANES; ++l) {
     slot[l] = family[l] * kinds + kind;
-    cost[l] = moved[l] = 0;
+    cost[l] = 0;
   }
   for (long i = 0; i < j->memories; ++i) {
     const double *memory = &AT(x, j->at_memory[i], 0);
@@ -171,20 +179,13 @@ static void arrive(const search_job *j, long k, double scale, const double *x, c
     const double *fuel = &AT(x, j->at_fuel[i], 0), heating = j->heating[i];
     for (int l = 0; l < HS_LANES; ++l) cost[l] += heating * fuel[l];
   }
-  for (long i = 0; i < j->motions; ++i) {
-    const double *P = &AT(y, j->at_motion[i], 0);
-    for (int l = 0; l < HS_LANES; ++l) moved[l] += P[l];
-  }
-  for (long i = 0; i < j->errors; ++i) {
-    const double *P = &AT(y, j->at_error[i], 0);
-    for (int l = 0; l < HS_LANES; ++l) moved[l] += P[l] < 0 ? P[l] : 0;
-  }
   for (int l = 0; l < HS_LANES; ++l) {
     const int able = (v[l] >= slowest) & (v[l] <= fastest) & (charge[l] >= low) & (charge[l] <= high);
     int place = (int)((charge[l] - low) * scale);
     place = place < places ? place : places - 1;
     slot[l] = able ? slot[l] * places + place : -1;
-    cost[l] -= j->price[family[l]] * (charge[l] + j->worth * (motion[l] + dt * moved[l]));
+    const double beyond = after[l] - j->plan[k];
+    cost[l] -= price[family[l]] * (after[l] - 0.5 * j->bend * beyond * beyond);
   }
 }
 
@@ -199,7 +200,7 @@ static void spread(search_state *s, long k, long group, const double *asked, con
   for (long c = 0; c < j->candidates; ++c) {
     ask_all(j, x, asked + c * (HS_NU + HS_NW), u, w);
     STEP(j, x, u, w, q, xn, y);
-    arrive(j, k, scale, xn, y, s->family + first, s->motion + first, j->kind[c], slot, cost);
+    arrive(j, k, scale, xn, y, s->family + first, s->held + first, j->kind[c], slot, cost);
     for (int l = 0; l < lanes; ++l) {
       if (slot[l] < 0) continue;
       const int from = (int)first + l;
@@ -235,19 +236,17 @@ static void choose(search_state *s, long k) {
 /* Step what was chosen once more, and keep it: a group of the nodes after step `k`. */
 static void settle(search_state *s, long k, long group, const double *asked, const double *q) {
   const search_job *j = s->job;
-  double x[HS_NX * HS_LANES] LINED, u[HS_NU * HS_LANES] LINED, w[HS_NW * HS_LANES] LINED, y[HS_NY * HS_LANES] LINED;
+  double x[HS_NX * HS_LANES] LINED, u[HS_NU * HS_LANES] LINED, w[HS_NW * HS_LANES] LINED, y[HS_NY * HS_LANES] LINED, before[HS_LANES];
   for (int l = 0; l < HS_LANES; ++l) {
     /* The last group is filled up with its last node. */
     const long m = group * HS_LANES + l < j->count[k] ? group * HS_LANES + l : j->count[k] - 1;
     const long from = j->from[k * j->most + m];
+    before[l] = s->held[from];
     for (int i = 0; i < HS_NX; ++i) AT(x, i, l) = OF(s->now, i, from);
     ask(j, x, asked + j->by[k * j->most + m] * (HS_NU + HS_NW), u, w, l);
   }
   STEP(j, x, u, w, q, s->then + group * HS_NX * HS_LANES, y);
-  for (int l = 0; l < HS_LANES && group * HS_LANES + l < j->count[k]; ++l) {
-    const long m = group * HS_LANES + l;
-    s->motion_then[m] = s->motion[j->from[k * j->most + m]] + motion_of(j, k, y, l);
-  }
+  hold(j, k, y, before, s->held_then + group * HS_LANES);
 }
 
 static void *work(void *given) {
@@ -285,7 +284,7 @@ static void *work(void *given) {
     meet(s);
     if (!number) {
       double *swap = s->now; s->now = s->then; s->then = swap;
-      swap = s->motion; s->motion = s->motion_then; s->motion_then = swap;
+      swap = s->held; s->held = s->held_then; s->held_then = swap;
       int *other = s->family; s->family = s->family_then; s->family_then = other;
       s->nodes = j->count[k];
       s->next = 0;
@@ -314,10 +313,10 @@ HS_EXPORT int hs_search(search_job *j, int threads) {
   s.then = lined((size_t)groups * HS_NX * HS_LANES, whole + 1);
   s.family = calloc(j->most + HS_LANES, sizeof(int));
   s.family_then = calloc(j->most + HS_LANES, sizeof(int));
-  s.motion = calloc(j->most + HS_LANES, sizeof(double));
-  s.motion_then = calloc(j->most + HS_LANES, sizeof(double));
+  s.held = calloc(j->most + HS_LANES, sizeof(double));
+  s.held_then = calloc(j->most + HS_LANES, sizeof(double));
   s.best = malloc(sizeof(arrival) * s.slots * threads);
-  if (s.now && s.then && s.family && s.family_then && s.motion && s.motion_then && s.best) {
+  if (s.now && s.then && s.family && s.family_then && s.held && s.held_then && s.best) {
     for (long m = 0; m < groups * HS_LANES; ++m) {
       for (int i = 0; i < HS_NX; ++i) OF(s.now, i, m) = j->x[i];
     }
@@ -342,6 +341,6 @@ HS_EXPORT int hs_search(search_job *j, int threads) {
       j->end[3 * m + 2] = AT(x, j->at_charge, 0);
     }
   }
-  free(whole[0]); free(whole[1]); free(s.family); free(s.family_then); free(s.motion); free(s.motion_then); free(s.best);
+  free(whole[0]); free(whole[1]); free(s.family); free(s.family_then); free(s.held); free(s.held_then); free(s.best);
   return result;
 }

@@ -7,7 +7,7 @@ found can be had.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.resources import files
@@ -24,31 +24,36 @@ from halfshaft.fmu_build.compiler import shared_library
 from halfshaft.fmu_build.lanes import WIDTHS, lanes_code, lanes_header, widths
 from halfshaft.library.base.component import Command
 from halfshaft.library.base.errors import CompileError, SolveError
-from halfshaft.library.base.tags import part_of
 from halfshaft.models.assembly import Step, assemble
 from halfshaft.models.vehicle import Vehicle
 
-#: So many gears are told apart.
-GEARS = 16
-#: Lines of the account that count beside the charge, at this worth over the store's energy: what moves gives it back, and what the method
-#: gains by its own errors is paid for, so that no way is found that lives on them.
-MOTION, ERRORS, WORTH = ("kinetic",), ("discretisation", "mismatch"), 0.9
+#: So many gears are told apart; so many parts of a share whose effect lasts beside places of the charge, and without.
+GEARS, PARTS, MOST = 16, 8, 1e6
+#: Lines of the account that a price is paid for, with their worth over the store's energy: what the store gains, and what moves, which
+#: gives most of it back; what the method gains by its own errors is paid for, so that no way is found that lives on them.
+HELD: Mapping[str, float] = {"stored": -1.0, "kinetic": 0.9}
+ERRORS: Mapping[str, float] = {"discretisation": 0.9, "mismatch": 0.9}
 #: Speed that counts as none [m/s].
 HAIR = 1e-4
 
 
 class Found(NamedTuple):
-    """A row of commands, ``(n, n_commands)``, and what it comes to: fuel [J] and charge at the end, by the price of the charge [J]."""
+    """A row of commands, ``(n, n_commands)``, and what it comes to: fuel [J] and charge at the end."""
 
     commands: Array
     fuel: float
     charge: float
-    price: float
 
 
 class Bounds(NamedTuple):
-    """What may be after each step: charge, and speed [m/s]; all rows of ``n`` numbers."""
+    """What may be after each step, and what is planned: rows of ``n`` numbers.
 
+    A price falls by `bend` of itself with each joule that is held beyond the plan [1/J, J].  Low and high are charges, slowest and
+    fastest speeds [m/s].
+    """
+
+    bend: float
+    plan: Array
     low: Array
     high: Array
     slowest: Array
@@ -89,10 +94,10 @@ class Problem:
                 rows.append(values)
         return np.array(rows, dtype=float)
 
-    def kinds(self, candidates: Array) -> Array:
-        """Return of each candidate by what nodes are told apart that it leads to: flags, and shares whose effect lasts."""
-        kept = [i for i, c in enumerate(self.step.commands.values()) if c.lasts or c.kind == "flag"]
-        return candidates[:, kept]
+    def kinds(self, candidates: Array, parts: float) -> Array:
+        """Return of each candidate by what nodes are told apart that it leads to: flags, and parts of shares whose effect lasts."""
+        kept = [(i, parts if c.lasts else 1) for i, c in enumerate(self.step.commands.values()) if c.lasts or c.kind == "flag"]
+        return np.column_stack([np.floor(candidates[:, i] * n) for i, n in kept])
 
     def replay(self, commands: Array) -> tuple[Array, Array]:
         """Return outputs and last state of the exact step under commands."""
@@ -104,7 +109,7 @@ class Problem:
             x, rows[k] = self.compiled(x, np.array([s.v[k], grade, s.key_on[k], s.dt[k], 0.0, *command]), self.parameters)
         return rows, x
 
-    def search(self, candidates: Array, prices: Sequence[float], places: int, bounds: Bounds, threads: int) -> Ends:
+    def search(self, candidates: Array, prices: Array, places: int, bounds: Bounds, threads: int) -> Ends:
         """Return what is left at the end: by the price of the charge, and by its place between the bounds.
 
         Parameters
@@ -112,7 +117,7 @@ class Problem:
         candidates
             What may be commanded, ``(n_candidates, n_commands)``, or the same for each step.
         prices
-            Of the whole charge [J]; each is searched for by itself.
+            Fuel for the energy that is held [1]; each is searched for by itself.  A row of them is for all steps, or there is one for each.
         places
             By how many charges nodes are told apart.
         bounds, threads
@@ -126,30 +131,34 @@ class Problem:
         """
         step, n = self.step, len(self.samples.t)
         memories = [step.state_index[f"{name.partition('.')[0]}.{c.memory}"] for name, c in step.commands.items() if c.memory]
-        kinds, kind = np.unique(self.kinds(candidates), axis=0, return_inverse=True)
-        motions, errors = ([i for i, d in enumerate(_in_lanes(step).outputs) if d.booking in lines] for lines in (MOTION, ERRORS))
+        kinds, kind = np.unique(self.kinds(candidates, PARTS if places > 1 else MOST), axis=0, return_inverse=True)
+        bookings = [d.booking for d in _in_lanes(step).outputs]
+        held, errors = ([i for i, booking in enumerate(bookings) if booking in lines] for lines in (HELD, ERRORS))
+        worth = [*(HELD[bookings[i]] for i in held), *(ERRORS[bookings[i]] for i in errors)]
         fuels = step.tags.by_part("fuel mass")
         heating = {part: self.vehicle.values[name] for part, name in self.vehicle.tags.by_part("fuel heating value").items()}
         each = np.ascontiguousarray(np.broadcast_to(candidates, (n, *candidates.shape)))
-        most = len(prices) * len(kinds) * places * GEARS ** len(memories)
-        whole = [np.array(x, dtype=np.intc) for x in ([step.state_index[f] for f in fuels.values()], motions, errors, memories, kind)]
-        numbers = [np.array(x, dtype=float) for x in (prices, [heating[part] for part in fuels], *bounds)]
+        families = prices.shape[-1]
+        most = families * len(kinds) * places * GEARS ** len(memories)
+        whole = [np.array(x, dtype=np.intc) for x in ([step.state_index[f] for f in fuels.values()], held, errors, memories, kind)]
+        rows = (np.broadcast_to(prices, (n, families)), [heating[part] for part in fuels], worth, *bounds[1:])
+        numbers = [np.ascontiguousarray(x, dtype=float) for x in rows]
         count, origin, by = np.zeros(n, np.intc), np.zeros((n, most), np.intc), np.zeros((n, most), np.short)
         x, end = self.compiled.first(self.parameters), np.zeros((most, 3))
         s = read_by_c(self.samples)
         distance, grade = s.grade_by_distance or (None, None)
         job = _Job(
             n, *map(address, (s.dt, s.v, s.grade, s.key_on)), 0 if distance is None else len(distance), *map(address, (distance, grade)),
-            address(self.parameters), address(x), len(candidates), address(each), address(whole[4]), len(kinds), len(prices), places,
-            address(numbers[0]), *map(address, numbers[2:]), step.state_index[step.tags.the("charge")],
-            len(fuels), address(whole[0]), address(numbers[1]), len(motions), len(errors),
-            *map(address, whole[1:3]), WORTH / pack_energy(self.vehicle),
+            address(self.parameters), address(x), len(candidates), address(each), address(whole[4]), len(kinds), families, places,
+            address(numbers[0]), bounds.bend, *map(address, numbers[3:]), step.state_index[step.tags.the("charge")],
+            len(fuels), address(whole[0]), address(numbers[1]), len(held), len(errors),
+            *map(address, whole[1:3]), address(numbers[2]),
             len(memories), address(whole[3]), most, *map(address, (count, origin, by, end)), 0,
         )  # fmt: skip
         failed = _library(Build(self.vehicle), self.free, bool(np.all(np.frexp(s.dt)[0] == 0.5))).hs_search(ctypes.byref(job), threads)
         if failed:
             raise SolveError(f"{step.name}: the search {'needs more memory' if failed < 0 else 'met a parameter that is no number'}")
-        return Ends(each, tuple(prices), origin, by, end[: count[-1]], float(s.t[job.dead - 1]) if job.dead else None)
+        return Ends(each, origin, by, end[: count[-1]], float(s.t[job.dead - 1]) if job.dead else None)
 
 
 class Ends(NamedTuple):
@@ -159,7 +168,6 @@ class Ends(NamedTuple):
     """
 
     candidates: Array
-    prices: tuple[float, ...]
     origin: npt.NDArray[np.intc]
     by: npt.NDArray[np.short]
     end: Array
@@ -167,24 +175,19 @@ class Ends(NamedTuple):
 
     def found(self, node: int) -> Found:
         """Return the commands that lead to a node."""
-        family, fuel, charge = self.end[node]
+        _, fuel, charge = self.end[node]
         commands = np.empty((len(self.by), self.candidates.shape[2]))
         for k in range(len(self.by) - 1, -1, -1):
             commands[k] = self.candidates[k, self.by[k, node]]
             node = self.origin[k, node]
-        return Found(commands, float(fuel), float(charge), self.prices[int(family)])
-
-
-def pack_energy(vehicle: Vehicle) -> float:
-    """Return the energy of the one full store of a vehicle [J]."""
-    return float(vehicle.parameters[part_of(vehicle.tags.the("start charge"))].ratings()["energy"])
+        return Found(commands, float(fuel), float(charge))
 
 
 def _values(command: Command, points: int) -> Sequence[float]:
     """Return what may be tried of a command."""
     whole = command.highest - command.lowest
     parts = max(round((points - 1) / whole), 1) if command.kind == "share" else 1
-    return np.linspace(command.lowest, command.highest, round(whole * parts) + 1).tolist()
+    return [command.lowest + i / parts for i in range(round(whole * parts) + 1)]
 
 
 def _grade_at(distance: float, road: tuple[Array, Array]) -> float:
@@ -208,7 +211,7 @@ def _in_lanes(step: Step) -> Step:
     """Return the step with what a search needs of it."""
     # The march itself needs the request and what is missed of it.
     needed = {step.tags.the(tag) for tag in ("request", "miss", "overspeed")}
-    return step.only({*needed, *(d.name for d in step.outputs if d.booking in MOTION + ERRORS)})
+    return step.only({*needed, *(d.name for d in step.outputs if d.booking in {**HELD, **ERRORS})})
 
 
 @lru_cache(maxsize=64)
@@ -236,10 +239,11 @@ class _Job(ctypes.Structure):
         for kind, names in (
             (ctypes.c_long, "n"), (ctypes.c_void_p, "dt v grade key_on"), (ctypes.c_long, "n_grade"),
             (ctypes.c_void_p, "grade_distance grade_value p x"), (ctypes.c_long, "candidates"), (ctypes.c_void_p, "commands kind"),
-            (ctypes.c_long, "kinds families places"), (ctypes.c_void_p, "price low high slowest fastest"),
-            (ctypes.c_long, "at_charge fuels"), (ctypes.c_void_p, "at_fuel heating"), (ctypes.c_long, "motions errors"),
-            (ctypes.c_void_p, "at_motion at_error"),
-             (ctypes.c_double, "worth"), (ctypes.c_long, "memories"), (ctypes.c_void_p, "at_memory"),
+            (ctypes.c_long, "kinds families places"), (ctypes.c_void_p, "price"), (ctypes.c_double, "bend"),
+            (ctypes.c_void_p, "plan low high slowest fastest"),
+            (ctypes.c_long, "at_charge fuels"), (ctypes.c_void_p, "at_fuel heating"), (ctypes.c_long, "powers errors"),
+            (ctypes.c_void_p, "at_power at_error worth"),
+             (ctypes.c_long, "memories"), (ctypes.c_void_p, "at_memory"),
             (ctypes.c_long, "most"), (ctypes.c_void_p, "count origin by end"), (ctypes.c_long, "dead"),
         )
         for name in names.split()
