@@ -2,7 +2,7 @@
 
 Dynamic programming (`halfshaft.studies.optimal`) chooses among a grid of commands, for one vehicle.  Here all steps of the cycle
 are written down at once, with the states between them, the commands of each, and the sizes of the vehicle as unknowns (multiple shooting
-with an interval a step), and IPOPT solves for all of them through CasADi, with first and second derivatives of the smooth form of the
+with an interval a step), and IPOPT solves for all of them through CasADi, with the sparse derivatives of the smooth form of the
 vehicle's own step (`halfshaft.fmu_build.smooth`).  So sizes are not tied to a control's strategy::
 
     minimise    fuel burnt, or energy drawn from the store where nothing is burnt
@@ -44,18 +44,20 @@ from halfshaft.studies.optimal.optimum import Optimum, optimal
 from halfshaft.studies.optimal.search import obedient
 
 if TYPE_CHECKING:
-    from halfshaft.cosim.plot import Picture
+    from matplotlib.figure import Figure
 
 #: Widths of the stages; a table is rounded over so many times more of its intervals, up to all of them.
 WIDTHS, WIDER = (0.03, 0.01), 10.0
 #: Most iterations of a stage.
-ITERATIONS = 40
+ITERATIONS = 150
 #: A derivative counts if what it moves is more than this part of its size.
 COUNTS = 1e-7
 #: What may be missed of the trace beyond the best known way [m/s], and the charge at the end.
 MISSED, CHARGED = 0.05, 1e-6
 #: With sizes, the last width is repeated at most so often, until none moves by more than this part of it.
-AGAIN, SETTLED = 4, 5e-3
+AGAIN, SETTLED = 6, 5e-3
+#: Part by which a program stays below a time: as far as a tangent may be wrong.
+SURE = 1e-3
 #: Part of a size by which a stage may move it: as far as tangents hold.
 MOVED = 0.3
 #: Longest time that a speed may take from rest, and length of the steps to it [s].
@@ -127,7 +129,7 @@ class Transcribed:
         kept = "" if self.holds else ", which does not hold"
         return f"<Transcribed {self.vehicle.name} over {self.cycle.name}: {100 * (self.goal / self.before - 1):+.2f} %{kept}>"
 
-    def plot(self) -> Picture:
+    def plot(self) -> Figure:
         """Return speed, powers and charge over time, beside dynamic programming's."""
         from halfshaft.cosim.plot import plot_run
 
@@ -167,13 +169,13 @@ def transcribe(
         If the vehicle chooses gears, nothing is free, or an argument is not what it must be; everything that is wrong is named at once.
 
     """
-    sizes, reach = dict(sizes or {}), [Reach(*r) for r in reach]
+    sizes, limits = dict(sizes or {}), tuple(Reach(*r) for r in reach)
     _check(vehicle, cycle, sizes, widths, iterations)
     free = vehicle.model().commandable
     optimum = optimal(vehicle, cycle, dt=dt) if free else None
     car = optimum.vehicle if optimum else vehicle
     compiled = obedient(Build(vehicle), free)
-    task = _Task(cycle, cycle.sampled(dt), dt, compiled, smooth_step(compiled.step), sizes, tuple(reach), optimum, iterations)
+    task = _Task(cycle, cycle.sampled(dt), dt, compiled, smooth_step(compiled.step), sizes, limits, optimum, iterations)
     commands = np.column_stack([*optimum.best.commands.values()]) if optimum else np.zeros((len(task.samples.t), 0))
     before = task.driven(car, commands)
     # At the sizes to begin with a speed may take too long: then that way is no answer.
@@ -307,7 +309,7 @@ class _Task:
         if not self.reach:
             return found, derived
         top = 1.5 * max(r.speed for r in self.reach)
-        full = Cycle(name="full effort", time=[0.0, 1.0, LONGEST], speed=[0.0, top, top])
+        full = Cycle(name="full effort", time=np.array([0.0, 1.0, LONGEST]), speed=np.array([0.0, top, top]))
         speed = self.compiled.step.tags.the("speed")
         run = slopes(car, full, names, [], history=[speed], mode="refined", dt=SHORT)
         v, dv = run.history[speed], run.history_gradient[speed]
@@ -426,7 +428,7 @@ class _Program:
         commands = self.step.commands
         names = [name for i, name in enumerate(commands) if i in self.task.shares]
         flags = [list(commands).index(f"{name.rpartition('.')[0]}.{commands[name].needs}") for name in names]
-        return self.way.commands[:, flags].T > 0
+        return (self.way.commands[:, flags].T > 0).astype(float)
 
     @property
     def _shares(self) -> Array:
@@ -435,7 +437,9 @@ class _Program:
     def solve(self, width: float) -> tuple[_Point, Mapping[str, Any]]:
         """Solve at a width."""
         task, n, kept, exact = self.task, self.n, self.kept, self.task.form.exact
-        x, u, z = ca.MX.sym("x", len(kept), n + 1), ca.MX.sym("u", len(self.commanded), n), ca.MX.sym("z", len(self.names))
+        x: Any = ca.MX.sym("x", len(kept), n + 1)
+        u: Any = ca.MX.sym("u", len(self.commanded), n)
+        z: Any = ca.MX.sym("z", len(self.names))
         base, scale, wanted = self.base[kept], self.scale[kept], [*(exact.following[i] for i in kept), *self.asked]
         given = self.smooth.weights[:, [self.smooth.learnt[f"given.{op.name}"] == 1 for op in task.form.compared]]
         _, group = np.unique(np.column_stack([given, task.samples.dt]), axis=0, return_inverse=True)
@@ -463,16 +467,16 @@ class _Program:
         # The exact step's own misses stay as they are; rounding adds to them.
         most = np.full(n, task.limit[0] + width * np.abs(task.samples.v).max())
         low = np.concatenate([np.zeros(gaps.numel()), np.full(n, -np.inf), [0.0], np.full(reached.numel(), -np.inf)])
-        high = np.concatenate([np.zeros(gaps.numel()), most, [np.inf], [r.time for r in task.reach][: reached.numel()]])
+        high = np.concatenate([np.zeros(gaps.numel()), most, [np.inf], [r.time * (1 - SURE) for r in task.reach][: reached.numel()]])
 
         shares, runs = self._shares, self._runs
-        low_u, high_u = np.where(runs, 0.0, shares), np.where(runs, 1.0, shares)
+        low_u, high_u = np.where(runs > 0, 0.0, shares), np.where(runs > 0, 1.0, shares)
         start = (np.column_stack([self.record.x, self.last])[kept] - base[:, None]) / scale[:, None]
         low_x, high_x = np.full(start.shape, -np.inf), np.full(start.shape, np.inf)
-        first = self._first(kept) if self.names else ca.MX(ca.DM(start[:, 0]))
+        first: Any = self._first(kept)(z)
         low_x[charge], high_x[charge] = -base[charge] / scale[charge], (1 - base[charge]) / scale[charge]
         g, low, high = (
-            ca.vertcat(g, x[:, 0] - (first(z) if self.names else first)),
+            ca.vertcat(g, x[:, 0] - first),
             np.append(low, np.zeros(len(kept))),
             np.append(high, np.zeros(len(kept))),
         )
@@ -480,10 +484,14 @@ class _Program:
         low_z, high_z = np.maximum(bounds[:, 0], 1 - MOVED), np.minimum(bounds[:, 1], 1 + MOVED)
         unknowns = ca.vertcat(ca.vec(x), ca.vec(u), z)
         options = {
-            "max_iter": task.iterations, "print_level": 0, "sb": "yes", "mu_init": 1e-3, "tol": 1e-6, "constr_viol_tol": 1e-8,
+            # Kinks of maps, rounded, bend the program both ways: with its second derivatives IPOPT wanders between them.
+            "hessian_approximation": "limited-memory", "max_iter": task.iterations, "print_level": 0, "sb": "yes", "mu_init": 1e-3,
+            "tol": 1e-6, "constr_viol_tol": 1e-8,
             "acceptable_tol": 1e-2, "acceptable_constr_viol_tol": 1e-8, "acceptable_obj_change_tol": 1e-5, "acceptable_iter": 5,
         }  # fmt: skip
-        solver = ca.nlpsol("transcription", "ipopt", {"x": unknowns, "f": goal, "g": g}, {"ipopt": options, "print_time": False})
+        program: Any = {"x": unknowns, "f": goal, "g": g}
+        silent: Any = {"ipopt": options, "print_time": False}
+        solver = ca.nlpsol("transcription", "ipopt", program, silent)
         found = solver(
             x0=np.concatenate([start.ravel("F"), shares.ravel("F"), np.clip(np.ones(len(self.names)), low_z, high_z)]),
             lbx=np.concatenate([low_x.ravel("F"), low_u.ravel("F"), low_z]),
