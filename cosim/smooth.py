@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from halfshaft.cosim.compiled import Array, CompiledStep, March
+from halfshaft.cosim.compiled import Array, CompiledStep, March, Stepper
 from halfshaft.cosim.cycle import Cycle, Samples
 from halfshaft.cosim.gradient import Plan, Slopes, What, rates, unknown_numbers, unknown_outputs
 from halfshaft.cosim.simulate import Build, parameters_of, stepper_of
@@ -88,7 +88,7 @@ class Smooth:
         return _roles(self.form, self.record)
 
     @cached_property
-    def _learnt(self) -> dict[str, float]:
+    def learnt(self) -> Mapping[str, float]:
         """Values of the parameters that the exact run gives."""
         learnt = {f"scale.{op.name}": _scale(op, self.record) for op in self.form.rounded}
         for op in self.form.compared:
@@ -106,15 +106,20 @@ class Smooth:
         given = [saved.get(op.name, self.record.of(op.name)) for op in self.form.compared]
         return np.array(given).reshape(len(given), n).T.copy()
 
+    @property
+    def more(self) -> Array:
+        """What the smooth step requests beyond `REQUESTED`, a row a step: commands where there are any, and weights."""
+        return np.column_stack([self.record.u[len(REQUESTED) :].T, self.weights])
+
     def parameters(self, width: float, vehicle: Vehicle | None = None) -> Array:
         """Return the parameters of the smooth step, for this vehicle or one with other numbers."""
         own = parameters_of(vehicle or self.vehicle, stepper_of(self.vehicle).step, self.samples.v_start)
-        more = [width if d.name == "width" else self._learnt[d.name] for d in self.step.parameters[len(own) :]]
+        more = [width if d.name == "width" else self.learnt[d.name] for d in self.step.parameters[len(own) :]]
         return np.array([*own, *more])
 
     def march(self, width: float, vehicle: Vehicle | None = None) -> March:
         """Run the cycle by the smooth step."""
-        return self.compiled.march(self.samples, self.parameters(width, vehicle), more=self.weights)
+        return self.compiled.march(self.samples, self.parameters(width, vehicle), more=self.more)
 
     def slopes(
         self, names: Sequence[str], wanted: Sequence[What], width: float, vehicle: Vehicle | None = None, history: Sequence[str] = ()
@@ -128,7 +133,7 @@ class Smooth:
         p = self.parameters(width, vehicle)
         exact, dp = stepper_of(self.vehicle).step, np.zeros((len(p), len(names)))
         dp[: len(exact.parameters)] = rates(vehicle, exact, names)
-        return plan.slopes(self.samples, p, dp, tuple(names), wanted, history, more=self.weights)
+        return plan.slopes(self.samples, p, dp, tuple(names), wanted, history, more=self.more)
 
 
 def smoothed(vehicle: Vehicle, cycle: Cycle, *, decisions: Decisions = "fixed", dt: float = 1.0) -> Smooth:
@@ -151,7 +156,9 @@ def smoothed(vehicle: Vehicle, cycle: Cycle, *, decisions: Decisions = "fixed", 
         raise InputError("smoothed", problems)
     form, compiled = _form(Build(vehicle))
     samples = cycle.sampled(dt)
-    return Smooth(vehicle, samples, decisions, compiled, form, _recorded(vehicle, form.exact, samples))
+    stepper = stepper_of(vehicle)
+    record = record_of(stepper, form.exact, samples, parameters_of(vehicle, stepper.step, samples.v_start))
+    return Smooth(vehicle, samples, decisions, compiled, form, record)
 
 
 @lru_cache(maxsize=16)
@@ -169,20 +176,18 @@ def _plan(build: Build, outputs: tuple[str, ...], graded: bool) -> Plan:
     return Plan.of(step, grade, sum(map(len, (form.rounded, form.compared, form.compared))) + 1)
 
 
-def _recorded(vehicle: Vehicle, found: StepGraph, samples: Samples) -> Record:
-    """Return an exact run step by step."""
-    stepper = stepper_of(vehicle)
+def record_of(stepper: Stepper, found: StepGraph, samples: Samples, p: Array, commands: Array | None = None) -> Record:
+    """Return an exact run step by step, with what is commanded in each step where controls obey."""
     step = stepper.step
-    p, distance = parameters_of(vehicle, step, samples.v_start), step.state_index[step.tags.the("distance")]
-    u = np.zeros((len(samples.t), len(REQUESTED)))
-    u[:, :4] = np.column_stack([samples.v, samples.grade, samples.key_on, samples.dt])
+    distance, n = step.state_index[step.tags.the("distance")], len(samples.t)
+    u = np.column_stack([samples.v, samples.grade, samples.key_on, samples.dt, np.zeros(n), *([] if commands is None else commands.T)])
     x, states = stepper.first(p), []
     for request in u:
         if samples.grade_by_distance:
             request[1] = np.interp(x[distance], *samples.grade_by_distance)
         states.append(x)
         x, _ = stepper(x, request, p)
-    rows = np.array(states).reshape(len(u), len(step.states)).T
+    rows = np.array(states).reshape(n, len(step.states)).T
     return Record(rows, u.T, p, evaluate(found, rows, u.T, p))
 
 
@@ -294,4 +299,8 @@ class _Trial:
         turned = {name: np.where([other == name for other in of], 1.0 - first, np.nan) for name in set(of)}
         plain, other, behind = evaluate(found, *between(a)), evaluate(found, *between(a), turned), evaluate(found, *between(b))
         jumped = np.minimum(self.difference(plain, other, len(of)), self.difference(plain, behind, len(of))) > JUMP
-        yield from dict.fromkeys(name for name, jumps in zip(of, jumped, strict=True) if jumps)
+        # Where the two sides are far from each other there, something else has jumped between the steps, and turned it round.
+        ops = {op.name: op for op in self.form.compared}
+        sides = [[of_names(plain, [side], len(of))[0, j] for side in ops[name].of] for j, name in enumerate(of)]
+        crossed = [abs(a - b) < NEAR * _scale(ops[name], self.record) for name, (a, b) in zip(of, sides, strict=True)]
+        yield from dict.fromkeys(name for name, jumps, meets in zip(of, jumped, crossed, strict=True) if jumps and meets)

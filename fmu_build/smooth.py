@@ -17,9 +17,9 @@ the exact one's, and has the same bits everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -73,12 +73,14 @@ def smooth_step(step: Step) -> SmoothStep:
     tables = {name: replace(t, name=name) for name, t in tables.items()}
     width = more["width"]
     calls = {name: tables[f"{name}_rounded"].interpolant for name in step.tables}
-    values = smooth_values(
-        exact, state, request, parameters, lambda name, x: calls[name](ca.vertcat(*x, width)), width,
-        {op.name: more[f"scale.{op.name}"] for op in rounded},
+    known = {f"{name}[{i}]": x[i] for name, x in (("x", state), ("u", request), ("p", parameters)) for i in range(x.numel())}
+    rounding = Rounding(
+        width, {op.name: more[f"scale.{op.name}"] for op in rounded},
         {op.name: (more[f"given.{op.name}"], given[f"weight.{op.name}"], more[f"offset.{op.name}"]) for op in compared},
+        lambda name, x: calls[name](ca.vertcat(*x, width)),
     )  # fmt: skip
-    results = [ca.vertcat(*(values(name) for name in names)) for names in (exact.following, exact.outputs)]
+    found = smooth_values(exact, known, [*exact.following, *exact.outputs], rounding)
+    results = [ca.vertcat(*values) for values in (found[: len(exact.following)], found[len(exact.following) :])]
     function = ca.Function(
         f"{step.function.name()}_smooth",
         [state, ca.vertcat(request, *given.values()), ca.vertcat(parameters, *more.values())],
@@ -100,30 +102,37 @@ def smooth_step(step: Step) -> SmoothStep:
     return SmoothStep(smooth, exact, rounded, compared)
 
 
-def smooth_values(
-    found: StepGraph, x: Any, u: Any, p: Any, table: Callable[[str, list[Any]], Any], width: Any, scales: Any, weights: Any
-) -> Callable[[str], Any]:  # fmt: skip
-    """Return what gives the value of a name in the smooth form.
+class Rounding(NamedTuple):
+    """How operations of an exact step are rounded, each by its name: as numbers or symbols.
 
-    `table` reads a table by name at its variables; `scales` are those of what is rounded; `weights` tell of a comparison whether it is
-    given, its weight then, and its offset.
+    `weights` tell of a comparison whether it is given, its weight then, and its offset; `table` reads a table at its variables.
     """
-    smooth = _Smooth(found, table, width, scales, weights)
-    for vector, symbols in (("x", x), ("u", u), ("p", p)):
-        for i in range(symbols.numel()):
-            smooth.values[f"{vector}[{i}]"] = symbols[i]
-    for op in (*found.graph.prepared, *found.stepped):
+
+    width: Any
+    scales: Mapping[str, Any]
+    weights: Mapping[str, tuple[Any, Any, Any]]
+    table: Callable[[str, list[Any]], Any]
+
+
+def smooth_values(found: StepGraph, known: Mapping[str, Any], wanted: Sequence[str], rounding: Rounding) -> list[Any]:
+    """Return values of a step in the smooth form, from others that are known by their names in the exact step."""
+    smooth, needed, ops = _Smooth(found, rounding, dict(known)), set(wanted), list[Op]()
+    for op in reversed([*found.graph.prepared, *found.stepped]):
+        if op.name in needed and op.name not in known:
+            needed.update(op.of)
+            ops.append(op)
+    for op in reversed(ops):
         if op.what not in ("find", "place"):
             smooth.values[op.name] = smooth.value(op)
-    return smooth.of
+    return [smooth.of(name) for name in wanted]
 
 
 class _Smooth:
     """Values of operations in the smooth form."""
 
-    def __init__(self, found: StepGraph, table: Callable[[str, list[Any]], Any], width: Any, scales: Any, weights: Any) -> None:
-        self.graph, self.table, self.width, self.scales, self.weights = found.graph, table, width, scales, weights
-        self.values: dict[str, Any] = {}
+    def __init__(self, found: StepGraph, rounding: Rounding, values: dict[str, Any]) -> None:
+        self.graph, self.values = found.graph, values
+        self.width, self.scales, self.weights, self.table = rounding
         self.ops = {op.name: op for op in (*found.graph.prepared, *found.stepped)}
         self.flags = _flags(found)
         #: What is never finite, such as the room of a brake without a limit.
