@@ -130,10 +130,13 @@ class Transcribed:
         return f"<Transcribed {self.vehicle.name} over {self.cycle.name}: {100 * (self.goal / self.before - 1):+.2f} %{kept}>"
 
     def plot(self) -> Figure:
-        """Return speed, powers and charge over time, beside dynamic programming's."""
+        """Return speed, powers and charge over time; with commands, what the source gives, over dynamic programming's."""
         from halfshaft.cosim.plot import plot_run
 
-        return plot_run(*([self.optimum.best.result] if self.optimum else []), self.result, panels=("speed", "power", "charge"))
+        if self.optimum is None:
+            return plot_run(self.result, panels=("speed", "power", "charge"))
+        tags = self.result.tags
+        return plot_run(self.optimum.best.result, self.result, panels=("speed", *tags.all_of("generated"), tags.the("charge")))
 
 
 def transcribe(

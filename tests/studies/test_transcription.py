@@ -35,6 +35,11 @@ def test_the_exact_step_burns_what_the_program_says_and_less_than_on_a_grid(foun
     assert found.result.the("charge")[-1] >= found.optimum.charge(found.optimum.best)[-1] - 1e-6
 
 
+def test_it_is_drawn_over_dynamic_programming(found):
+    drawn = found.plot()
+    assert sum(len(ax.lines) >= 2 for ax in drawn.axes) >= 2
+
+
 def test_few_states_count(found):
     assert found.n_states < 6 < len(found.optimum.vehicle.model().parts)
     assert found.n_unknowns == found.n_states * 61 + 60
