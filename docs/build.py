@@ -1,12 +1,14 @@
 """Makes at build what the manual does not hold as text: a page for each kind of component, pictures, formulas as MathML.
 
-A picture stands where a page says ``<!-- picture: name -->``; `PICTURES` says what it shows.
+A picture stands where a page says ``<!-- picture: name -->``; `PICTURES` says what it shows.  Some take a while: with the environment
+variable ``MANUAL_DRAFT`` they stay empty.
 """
 
 from __future__ import annotations
 
 import inspect
 import io
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -175,8 +177,8 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
 
 @cache
 def picture(name: str) -> tuple[Figure, str]:
-    """Return a picture and what it shows."""
-    return PICTURES[name]()
+    """Return a picture and what it shows; in a draft, that of nothing."""
+    return (Figure(), name) if os.environ.get("MANUAL_DRAFT") else PICTURES[name]()
 
 
 def png(figure: Figure) -> bytes:

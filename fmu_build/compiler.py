@@ -121,7 +121,7 @@ def shared_library(source: str, name: str, headers: Mapping[str, str] | None = N
     headers
         Files that the source includes, text by name.
     flags
-        For the compiler, after those that it always gets.
+        For the compiler, after those that it always gets; behind them stand those of the environment variable ``HALFSHAFT_CFLAGS``.
 
     Raises
     ------
@@ -129,6 +129,7 @@ def shared_library(source: str, name: str, headers: Mapping[str, str] | None = N
         If there is no compiler and nothing in the cache, it refuses the source, or nothing that it makes can be loaded.
 
     """
+    flags = (*flags, *shlex.split(os.environ.get("HALFSHAFT_CFLAGS", "")))
     files = {f"{name}.c": source, **(headers or {})}
     stem = f"{name}-{_hash(sysconfig.get_platform(), *FLAGS, *flags, *(text for item in sorted(files.items()) for text in item))}"
     folder = Path(os.environ.get("HALFSHAFT_CACHE") or platformdirs.user_cache_dir("halfshaft"))
