@@ -60,7 +60,7 @@ def plot_optimum(optimum: Optimum, *, path: str | Path | None = None) -> Picture
         stages, goals, excesses, points = _history(optimum)
         for ax in axes:
             dress(ax)
-            _bands(ax, stages)
+            _bands(ax, stages, named=ax is axes[0])
             ax.set_xlim(-0.8, len(stages) - 0.2)
             ax.xaxis.set_major_locator(MaxNLocator(8, integer=True))
         for ax in axes[:-1]:
@@ -98,12 +98,15 @@ def _history(optimum: Optimum) -> tuple[list[str], np.ndarray, np.ndarray, np.nd
     return [r[0] for r in rows], *(np.array([r[i] for r in rows]) for i in (1, 2, 3))  # type: ignore[return-value]
 
 
-def _bands(ax: Axes, stages: list[str]) -> None:
-    """Tint who was at work."""
+def _bands(ax: Axes, stages: list[str], *, named: bool) -> None:
+    """Tint who was at work, and say it above."""
+    above = ax.get_xaxis_transform()
     for stage, group in groupby(enumerate(stages), key=lambda x: x[1]):
         places = [i for i, _ in group]
         if stage in _STAGES:
             ax.axvspan(places[0] - 0.5, places[-1] + 0.5, color=COLOURS[list(_STAGES).index(stage)], alpha=0.07, lw=0)
+            if named and len(places) > len(stages) / 8:
+                ax.text(places[0] - 0.3, 1.02, _STAGES[stage], transform=above, va="bottom", fontsize=8, color=SOFT)
 
 
 def _goals(ax: Axes, optimum: Optimum, goals: np.ndarray, holds: np.ndarray, built: np.ndarray) -> None:
