@@ -72,7 +72,7 @@ def test_every_store_closes_the_account_in_every_powertrain(car, store, mode):
 def test_forward_facing_the_store_ends_where_it_ends_in_the_step(store):
     # As long as there is enough in it.
     car = car_of("small-car-electric", store).with_values({"battery.capacity_scale": 3.0})
-    short = Cycle(name="start of UDDS", time=UDDS.time[:190], speed=UDDS.speed[:190])
+    short = Cycle(name="start of UDDS", time=UDDS.time[:125], speed=UDDS.speed[:125])
     step, forward = run(car, short, dt=0.1), run(car, short, via="forward")
     assert abs(forward.account.balance_relative) < 1e-6
     used = step["battery.soc"][0] - step["battery.soc"][-1]

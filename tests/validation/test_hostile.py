@@ -8,7 +8,7 @@ from halfshaft.validation.hostile import attempt, attempt_result
 
 @pytest.mark.parametrize("first", [0, 100])
 def test_whatever_a_file_holds_it_runs_or_is_refused(first, tmp_path):
-    outcomes = {attempt(tmp_path, seed) for seed in range(first, first + 100)}
+    outcomes = {attempt(tmp_path, seed) for seed in range(first, first + 60)}
     assert outcomes >= {"ran", "InputError"}
 
 

@@ -39,7 +39,7 @@ def test_c_is_changed_outside_of_comments_texts_and_directives():
 def test_changed_programs_are_programs():
     mutants = [m for m in all_mutants(ROOT) if m.path.endswith(".py")]
     assert len(mutants) > 1000
-    for m in random.Random(0).sample(mutants, 150):
+    for m in random.Random(0).sample(mutants, 90):
         source = (ROOT / m.path).read_text(encoding="utf-8")
         assert ast.dump(ast.parse(source[: m.start] + m.text + source[m.end :])) != ast.dump(ast.parse(source)), str(m)
 
