@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Cycle
-from halfshaft.cosim.plot import COLOURS, LINE, SOFT, STYLE, TIMES, Picture, dress, legend, plot_problems
+from halfshaft.cosim.plot import COLOURS, LINE, SOFT, TIMES, Picture, drawing, dress, legend
 from halfshaft.cosim.units import SYSTEMS, Units
-from halfshaft.library.base.errors import InputError
-from halfshaft.library.files.writing import written_whole
 
 #: Width of the picture, and room left and right of the axes [in].
 _WIDTH, _LEFT, _RIGHT = 8.2, 0.72, 0.3
@@ -44,23 +41,16 @@ def plot_cycle(cycle: Cycle, *, before: Cycle | None = None, units: Units = "met
         If the file cannot be written.
 
     """
-    if path is not None and (problems := plot_problems(Path(path))):
-        raise InputError(str(path), problems)
     road = cycle.grade_by_distance
     heights = [2.2, *([0.8] if road is not None or cycle.grade is not None else []), 1.9]
     above = [0.8, *[0.25] * (len(heights) - 2), 0.85]
     height = sum(heights) + sum(above) + 0.6
-    with mpl.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, height))
-        figure.text(_LEFT / _WIDTH, 1 - 0.34 / height, cycle.name, fontsize=14, fontweight="bold", va="baseline")
-        values = {name: (value, unit) for name, value, unit, _ in cycle.figures(units)}
-        said = [
-            f"{value} {unit if unit != '1' else name}"
-            for name in ("duration", "distance", "v_max", "stops")
-            for value, unit in [values[name]]
-        ]
-        said[2] = f"at most {said[2]}"
-        figure.text(_LEFT / _WIDTH, 1 - 0.57 / height, "   \u00b7   ".join(said), va="baseline", color=SOFT)
+    values = {name: (value, unit) for name, value, unit, _ in cycle.figures(units)}
+    said = [
+        f"{value} {unit if unit != '1' else name}" for name in ("duration", "distance", "v_max", "stops") for value, unit in [values[name]]
+    ]
+    said[2] = f"at most {said[2]}"
+    with drawing(path, (_WIDTH, height), _LEFT, cycle.name, said) as figure:
         y, axes = height, []
         for high, room in zip(heights, above, strict=True):
             y -= high + room
@@ -78,9 +68,6 @@ def plot_cycle(cycle: Cycle, *, before: Cycle | None = None, units: Units = "met
             axes[0].tick_params(labelbottom=False)
         _histogram(bottom, cycle, units)
         _accelerations(beside, cycle, units)
-        if path is not None:
-            with written_whole(path) as part:
-                figure.savefig(part, dpi=200, facecolor="white")
     return figure
 
 

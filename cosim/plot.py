@@ -7,7 +7,8 @@ the run: their bookings, kinds and units.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -125,6 +126,29 @@ def plot_run(
             with written_whole(path) as part:
                 figure.savefig(part, dpi=200, facecolor="white")
     return figure
+
+
+@contextmanager
+def drawing(path: str | Path | None, size: tuple[float, float], left: float, title: str, said: Sequence[str]) -> Iterator[Picture]:
+    """Yield a picture of a size with its head, `left` from the edge [in]; what is drawn is written at the end, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    """
+    if path is not None and (problems := plot_problems(Path(path))):
+        raise InputError(str(path), problems)
+    width, height = size
+    with mpl.rc_context(STYLE):
+        figure = Picture(figsize=size)
+        figure.text(left / width, 1 - 0.34 / height, title, fontsize=14, fontweight="bold", va="baseline")
+        figure.text(left / width, 1 - 0.57 / height, "   \u00b7   ".join(filter(None, said)), va="baseline", color=SOFT)
+        yield figure
+        if path is not None:
+            with written_whole(path) as part:
+                figure.savefig(part, dpi=200, facecolor="white")
 
 
 def plot_problems(path: Path) -> list[str]:

@@ -85,7 +85,11 @@ def prepared(vehicle: Vehicle) -> Vehicle:
 
 def time_to(result: Result, v: float) -> float | None:
     """Return the time from the start of the first accelerating step to a speed [s]."""
-    speed, time = result.the("speed"), result.time
+    return crossing(result.time, result.the("speed"), v)
+
+
+def crossing(time: Array, speed: Array, v: float) -> float | None:
+    """Return the same from times and speeds at the ends of steps."""
     above = np.flatnonzero(speed >= v)
     if not len(above):
         return None

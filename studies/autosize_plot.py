@@ -6,14 +6,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from halfshaft.cosim.plot import COLOURS, LINE, SOFT, STYLE, Picture, dress, plot_problems
-from halfshaft.library.base.errors import InputError
-from halfshaft.library.files.writing import written_whole
+from halfshaft.cosim.plot import COLOURS, LINE, SOFT, Picture, drawing, dress
 from halfshaft.studies.sizes import KINDS, NAMED, Kind
 
 if TYPE_CHECKING:
@@ -44,17 +41,12 @@ def plot_sizes(sized: Sized, *, path: str | Path | None = None) -> Picture:
         If the file cannot be written.
 
     """
-    if path is not None and (problems := plot_problems(Path(path))):
-        raise InputError(str(path), problems)
     kinds = [kind for kind in KINDS if kind in sized.after]
     heights = [*[_SIZE] * len(kinds), _GOALS]
     height = 0.95 + sum(heights) + _ROOM * len(kinds) + 0.6
-    with mpl.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, height))
-        figure.text(_LEFT / _WIDTH, 1 - 0.34 / height, sized.base.name, fontsize=14, fontweight="bold", va="baseline")
-        mass = f"{sized.base.mass:.0f} to {sized.vehicle.mass:.0f} kg"
-        said = [f"preset {sized.preset}", f"{len(sized.trials)} trials", mass, sized.status]
-        figure.text(_LEFT / _WIDTH, 1 - 0.57 / height, "   \u00b7   ".join(said), va="baseline", color=SOFT)
+    mass = f"{sized.base.mass:.0f} to {sized.vehicle.mass:.0f} kg"
+    said = [f"preset {sized.preset}", f"{len(sized.trials)} trials", mass, sized.status]
+    with drawing(path, (_WIDTH, height), _LEFT, sized.base.name, said) as figure:
         y, axes = height - 0.95 + _ROOM, []
         for high in heights:
             y -= high + _ROOM
@@ -68,9 +60,6 @@ def plot_sizes(sized: Sized, *, path: str | Path | None = None) -> Picture:
             _size(ax, sized, kind)
             ax.tick_params(labelbottom=False)
         _margins(axes[-1], sized)
-        if path is not None:
-            with written_whole(path) as part:
-                figure.savefig(part, dpi=200, facecolor="white")
     return figure
 
 

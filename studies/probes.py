@@ -35,6 +35,7 @@ from halfshaft.studies.acceleration import (
     T_START,
     AccelerationTest,
     TopSpeedTest,
+    crossing,
     shifting,
 )
 from halfshaft.studies.batch import run_batch
@@ -324,7 +325,7 @@ class FullEffortProbe(Probe):
         for i, time, v in _driven(test, vehicle, columns, highest, STEADY):
             for figure, (low, high) in zip(wanted, pairs, strict=True):
                 start, end = (crossing(time, v, x * unit) if x else 0.0 for x in (low, high))
-                found[figure][i] = end - start
+                found[figure][i] = np.nan if start is None or end is None else end - start
         return found
 
     def tangents(self, vehicle: Vehicle, names: Sequence[str], wanted: Sequence[str]) -> Sloped | None:
@@ -422,28 +423,15 @@ def _runs(columns: Mapping[str, Array]) -> int:
     return len(next(iter(columns.values())))
 
 
-def crossing(time: Array, speed: Array, v: float) -> float:
-    """Return the time from the start of the first accelerating step to a speed [s]; NaN where it is not reached."""
-    above = np.flatnonzero(speed >= v)
-    if not len(above):
-        return np.nan
-    i = int(above[0])
-    if i == 0:
-        return float(time[0] * v / speed[0]) - T_START
-    share = (v - speed[i - 1]) / (speed[i] - speed[i - 1])
-    return float(time[i - 1] + share * (time[i] - time[i - 1])) - T_START
-
-
 def crossing_slope(time: Array, speed: Array, gradient: Array, v: float) -> tuple[float, Array]:
-    """Return the time to a speed, and its gradient from those of the speeds on either side."""
-    above = np.flatnonzero(speed >= v)
-    if not len(above):
+    """Return the time to a speed, and its gradient from those of the speeds on either side; NaN where it is not reached."""
+    if (t := crossing(time, speed, v)) is None:
         return np.nan, np.full(gradient.shape[1], np.nan)
-    i = int(above[0])
+    i = int(np.argmax(speed >= v))
     a, b = (speed[i - 1], speed[i]) if i else (0.0, speed[0])
     da, db = (gradient[i - 1], gradient[i]) if i else (np.zeros(gradient.shape[1]), gradient[0])
     length = time[i] - (time[i - 1] if i else 0.0)
-    return crossing(time, speed, v), -length * (da * (b - v) + db * (v - a)) / (b - a) ** 2
+    return t, -length * (da * (b - v) + db * (v - a)) / (b - a) ** 2
 
 
 def touched(vehicle: Vehicle, columns: Mapping[str, Any]) -> bool:

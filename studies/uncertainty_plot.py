@@ -5,17 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from halfshaft.cosim.figures import title_of, unit_of
-from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
+from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, Picture, drawing, dress
 from halfshaft.cosim.units import Edge, edge
-from halfshaft.library.base.errors import InputError
-from halfshaft.library.files.writing import written_whole
 
 if TYPE_CHECKING:
     from halfshaft.studies.uncertainty import Uncertain, Uncertainty
@@ -45,18 +42,13 @@ def plot_uncertainty(found: Uncertainty, *, path: str | Path | None = None) -> P
         If the file cannot be written.
 
     """
-    if path is not None and (problems := plot_problems(Path(path))):
-        raise InputError(str(path), problems)
     figures = list(found.figures.values())
     rows = max(_LEAST, _BAR * max(len(of.shares) for of in figures) + 0.2)
     height = _HEAD + len(figures) * (rows + _ABOVE + _BELOW)
     samples = found.drawn
-    with mpl.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, height))
-        cars, _, rest = found.title.partition(": ")
-        said = [rest, f"{samples.sizes['point']} samples", *([f"{found.lost} runs failed"] if found.lost else [])]
-        figure.text(_HISTOGRAM[0] / _WIDTH, 1 - 0.34 / height, cars, fontsize=14, fontweight="bold", va="baseline")
-        figure.text(_HISTOGRAM[0] / _WIDTH, 1 - 0.57 / height, "   \u00b7   ".join(said), va="baseline", color=SOFT)
+    cars, _, rest = found.title.partition(": ")
+    said = [rest, f"{samples.sizes['point']} samples", *([f"{found.lost} runs failed"] if found.lost else [])]
+    with drawing(path, (_WIDTH, height), _HISTOGRAM[0], cars, said) as figure:
         indexed = any(share.sobol for of in figures for share in of.shares)
         _keys(figure, indexed)
         for i, of in enumerate(figures):
@@ -69,9 +61,6 @@ def plot_uncertainty(found: Uncertainty, *, path: str | Path | None = None) -> P
             x = samples[of.name].to_numpy()
             _histogram(left, of, x[np.isfinite(x)])
             _shares(right, of)
-        if path is not None:
-            with written_whole(path) as part:
-                figure.savefig(part, dpi=200, facecolor="white")
     return figure
 
 

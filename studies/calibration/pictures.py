@@ -7,13 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
-from halfshaft.library.base.errors import InputError
-from halfshaft.library.files.writing import written_whole
+from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, Picture, drawing, dress
 
 if TYPE_CHECKING:
     from halfshaft.studies.calibration.calibrate import Calibration
@@ -160,20 +157,12 @@ def _panels(
     path: str | Path | None, title: str, said: Sequence[str], heights: Sequence[float], apart: Sequence[int] = (), head: float = _HEAD
 ) -> Iterator[tuple[Picture, list[Axes]]]:
     """Yield a figure with panels below each other under a head, those of `apart` with an axis before them; it is written at the end."""
-    if path is not None and (problems := plot_problems(Path(path))):
-        raise InputError(str(path), problems)
     gaps = [0.0 if i == 0 else _FOOT if i in apart else _ROOM for i in range(len(heights))]
     height = head + sum(heights) + sum(gaps) + _FOOT
-    with mpl.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, height))
-        figure.text(_LEFT / _WIDTH, 1 - 0.34 / height, title, fontsize=14, fontweight="bold", va="baseline", color=INK)
-        figure.text(_LEFT / _WIDTH, 1 - 0.57 / height, "   \u00b7   ".join(filter(None, said)), va="baseline", color=SOFT)
+    with drawing(path, (_WIDTH, height), _LEFT, title, said) as figure:
         y, axes = height - head + 0.2, []
         for gap, high in zip(gaps, heights, strict=True):
             y -= high + gap
             axes.append(figure.add_axes((_LEFT / _WIDTH, y / height, (_WIDTH - _LEFT - _RIGHT) / _WIDTH, high / height)))
             dress(axes[-1])
         yield figure, axes
-        if path is not None:
-            with written_whole(path) as part:
-                figure.savefig(part, dpi=200, facecolor="white")

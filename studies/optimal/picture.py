@@ -5,17 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from halfshaft.cosim.compiled import Array
-from halfshaft.cosim.plot import COLOURS, LINE, SOFT, STYLE, TIMES, Picture, dress, legend, plot_problems
+from halfshaft.cosim.plot import COLOURS, LINE, SOFT, TIMES, Picture, drawing, dress, legend
 from halfshaft.cosim.units import SYSTEMS, Units, edge, shown
-from halfshaft.library.base.errors import InputError
 from halfshaft.library.base.tags import part_of
-from halfshaft.library.files.writing import written_whole
 
 if TYPE_CHECKING:
     from halfshaft.studies.optimal.optimum import Optimum, Way
@@ -49,17 +46,13 @@ def plot_optimum(optimum: Optimum, *, units: Units = "metric", path: str | Path 
         If the file cannot be written.
 
     """
-    if path is not None and (problems := plot_problems(Path(path))):
-        raise InputError(str(path), problems)
     gears = any(np.ptp(way.result[name]) > 0 for way in optimum.ways for name in way.result.tags.all_of("gear"))
     heights = (_SPEED, _POWER, _POWER, *([_SPEED] if gears else []), _CHARGE, _CHARGE)
     height = _HEAD + sum(heights) + _ROOM * len(heights) + _FOOT
     _, unit, second = next(t for t in TIMES if optimum.cycle.duration <= t[0])
     result = optimum.in_use.result
     time = np.concatenate([[result.t_start], result.time]) / second
-    with mpl.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, height))
-        _title(figure, optimum, units, height)
+    with drawing(path, (_WIDTH, height), _LEFT, optimum.vehicle.name, _said(optimum, units)) as figure:
         y, axes = height - _HEAD, []
         for high in heights:
             y -= high + _ROOM
@@ -80,19 +73,15 @@ def plot_optimum(optimum: Optimum, *, units: Units = "metric", path: str | Path 
             ax.yaxis.set_label_coords(-0.47 / (_WIDTH - _LEFT - _RIGHT), 0.5)
             ax.tick_params(labelbottom=ax is axes[-1])
         axes[-1].set_xlabel(f"time [{unit}]")
-        if path is not None:
-            with written_whole(path) as part:
-                figure.savefig(part, dpi=200, facecolor="white")
     return figure
 
 
-def _title(figure: Picture, optimum: Optimum, units: Units, height: float) -> None:
-    figure.text(_LEFT / _WIDTH, 1 - 0.34 / height, optimum.vehicle.name, fontsize=14, fontweight="bold", va="baseline")
+def _said(optimum: Optimum, units: Units) -> list[str]:
     said = [optimum.cycle.name]
     for way in optimum.ways:
         more = "" if way is optimum.best else f" ({100 * optimum.excess(way):+.1f} %)"
         said.append(f"{way.name} {shown('economy', way.result.figures['fuel_economy_L_per_100km'], units, 2)}{more}")
-    figure.text(_LEFT / _WIDTH, 1 - 0.57 / height, "   \u00b7   ".join(said), va="baseline", color=SOFT)
+    return said
 
 
 def _speed(ax: Axes, time: Array, optimum: Optimum, units: Units) -> None:

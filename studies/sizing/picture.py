@@ -6,14 +6,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, STYLE, Picture, dress, plot_problems
-from halfshaft.library.base.errors import InputError
-from halfshaft.library.files.writing import written_whole
+from halfshaft.cosim.plot import COLOURS, INK, LINE, SOFT, Picture, drawing, dress
 from halfshaft.studies.sizing.evaluator import ROUNDING
 
 if TYPE_CHECKING:
@@ -45,14 +42,10 @@ def plot_optimum(optimum: Optimum, *, path: str | Path | None = None) -> Picture
         If the file cannot be written.
 
     """
-    _check(path)
     head, foot = 0.95, 0.6
     height = head + sum(_HEIGHTS) + _ROOM * (len(_HEIGHTS) - 1) + foot
-    with mpl.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, height))
-        _head(figure, height, optimum.problem.title or optimum.problem.name, [
-            optimum.method, f"{optimum.effort.cycles} evaluations of the cycle", "every limit holds" if optimum.holds else optimum.status,
-        ])  # fmt: skip
+    said = [optimum.method, f"{optimum.effort.cycles} evaluations of the cycle", "every limit holds" if optimum.holds else optimum.status]
+    with drawing(path, (_WIDTH, height), _LEFT, optimum.problem.title or optimum.problem.name, said) as figure:
         y, axes = height - head + _ROOM, []
         for high in _HEIGHTS:
             y -= high + _ROOM
@@ -69,24 +62,7 @@ def plot_optimum(optimum: Optimum, *, path: str | Path | None = None) -> Picture
         _goals(axes[0], optimum, goals, holds, np.array([stage != "ipopt" for stage in stages]))
         _excesses(axes[1], optimum, excesses)
         _variables(axes[2], optimum, points)
-        _save(figure, path)
     return figure
-
-
-def _check(path: str | Path | None) -> None:
-    if path is not None and (problems := plot_problems(Path(path))):
-        raise InputError(str(path), problems)
-
-
-def _save(figure: Picture, path: str | Path | None) -> None:
-    if path is not None:
-        with written_whole(path) as part:
-            figure.savefig(part, dpi=200, facecolor="white")
-
-
-def _head(figure: Picture, height: float, title: str, said: list[str]) -> None:
-    figure.text(_LEFT / _WIDTH, 1 - 0.34 / height, title, fontsize=14, fontweight="bold", va="baseline")
-    figure.text(_LEFT / _WIDTH, 1 - 0.57 / height, "   \u00b7   ".join(said), va="baseline", color=SOFT)
 
 
 def _history(optimum: Optimum) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
@@ -181,13 +157,11 @@ def plot_front(front: Front, *, path: str | Path | None = None) -> Picture:
         If the file cannot be written.
 
     """
-    _check(path)
     height, limit, problem = 4.6, front.limit, front.found[0].problem
     x = np.array(front.targets) / limit.factor
     holds = np.array([o.holds for o in front.found])
-    with mpl.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, height))
-        _head(figure, height, problem.title or problem.name, [f"over {limit.title}", f"{len(x)} vehicles"])
+    said = [f"over {limit.title}", f"{len(x)} vehicles"]
+    with drawing(path, (_WIDTH, height), _LEFT, problem.title or problem.name, said) as figure:
         axes = [figure.add_axes((_LEFT / _WIDTH, y / height, (_WIDTH - _LEFT - _RIGHT) / _WIDTH, 1.45 / height)) for y in (2.25, 0.6)]
         for ax in axes:
             dress(ax)
@@ -214,5 +188,4 @@ def plot_front(front: Front, *, path: str | Path | None = None) -> Picture:
         axes[1].set_ylabel("between\nthe bounds")
         axes[1].set_xlabel(f"{limit.title} [{limit.unit}]" if limit.unit else limit.title)
         axes[1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False, fontsize=7.5, handlelength=1.2)
-        _save(figure, path)
     return figure
