@@ -70,7 +70,7 @@ MOVED = 0.3
 
 
 #: Least curvature of a step, over the inverse of the number of steps and the width, and that of sizes.
-STIFF, CURVED = 0.3, 1.0
+STIFF, CURVED = 1.0, 1.0
 
 
 class Reach(NamedTuple):
@@ -555,7 +555,7 @@ class _Curvature(ca.Callback):
         (n_x, _), (n_u, n) = x.shape, u.shape
         f, lam, states = ca.MX.sym("f"), ca.MX.sym("lam", g.numel()), x.numel()
         self.whole, self.least, self.sizes = states + u.numel() + z.numel(), least, (states + u.numel() + z.numel(), 0, 1, g.numel())
-        found = ca.triu(ca.hessian(f * goal + ca.dot(lam, g), ca.vertcat(ca.vec(x), ca.vec(u)))[0])
+        found: Any = ca.triu(ca.hessian(f * goal + ca.dot(lam, g), ca.vertcat(ca.vec(x), ca.vec(u)))[0])
         self.hessian = ca.Function("hessian", [ca.vertcat(ca.vec(x), ca.vec(u), z), ca.MX.sym("none", 0), f, lam], [found])
         own = np.arange(n)[:, None]
         members = np.column_stack([n_x * own + np.arange(n_x), states + n_u * own + np.arange(n_u)])

@@ -96,8 +96,9 @@ def table() -> str:
     rows += ["|---" * 7 + "|"]
     assert s.transcribed.optimum is not None
     per_gram = 1e-3 * s.transcribed.optimum.best.fuel / s.transcribed.before
-    reached = (s.sized.limits[0].before, s.sized.limits[0].after, s.transcribed.reached[0])
-    for (name, optimum), t, seconds in zip(ways().items(), reached, ("", *(f"{x:.0f}" for x in s.seconds)), strict=True):
+    to_speed = (s.sized.limits[0].before, s.sized.limits[0].after, s.transcribed.reached[0])
+    times = ["", *(f"{x:.0f}" for x in s.seconds)]
+    for (name, optimum), t, seconds in zip(ways().items(), to_speed, times, strict=True):
         sizes = " | ".join(f"{optimum.vehicle.values[x]:.4f}" for x in SERIES)
         in_use, best = (optimum.fuel(way) / per_gram for way in (optimum.in_use, optimum.best))
         rows.append(f"| {name} | {sizes} | {t:.3f} | {in_use:.2f} g | {best:.2f} g | {seconds} |")
