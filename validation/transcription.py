@@ -13,7 +13,7 @@ from halfshaft.cosim.cycle import Cycle
 from halfshaft.cosim.simulate import run
 from halfshaft.cosim.units import M_PER_MILE
 from halfshaft.models.vehicle import Vehicle
-from halfshaft.studies.optimal.optimum import Optimum, optimal
+from halfshaft.studies.optimal.optimum import Optimum, Way, optimal
 from halfshaft.studies.size import size
 from halfshaft.studies.sizing.optimum import Optimum as Sized
 from halfshaft.studies.sizing.problem import Problem
@@ -80,6 +80,13 @@ def ways() -> dict[str, Optimum]:
     return {name: optimal(car, HILLS) for name, car in cars.items()}
 
 
+def kept(optimum: Optimum, way: Way) -> float:
+    """Return the energy of the fuel, less the price of what the charge rose by [J]."""
+    charge = optimum.charge(optimum.in_use)
+    rise = float(charge[-1]) - optimum.figures()["best"]["soc_start"]
+    return optimum.fuel(way) - optimum.price * rise * float(optimum.in_use.result.figures["pack_energy_J"])
+
+
 def table() -> str:
     """Return both comparisons as Markdown."""
     e = electric()
@@ -100,7 +107,7 @@ def table() -> str:
     times = ["", *(f"{x:.0f}" for x in s.seconds)]
     for (name, optimum), t, seconds in zip(ways().items(), to_speed, times, strict=True):
         sizes = " | ".join(f"{optimum.vehicle.values[x]:.4f}" for x in SERIES)
-        in_use, best = (optimum.fuel(way) / per_gram for way in (optimum.in_use, optimum.best))
+        in_use, best = (kept(optimum, way) / per_gram for way in (optimum.in_use, optimum.best))
         rows.append(f"| {name} | {sizes} | {t:.3f} | {in_use:.2f} g | {best:.2f} g | {seconds} |")
     program = s.transcribed
     rows += ["", f"transcribed: {1e3 * program.before:.2f} g before, {1e3 * program.goal:.2f} g, holds: {program.holds}"]
