@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -32,7 +33,8 @@ import numpy as np
 
 from halfshaft.cosim.compiled import Array, CompiledStep
 from halfshaft.cosim.cycle import Cycle, Samples
-from halfshaft.cosim.gradient import rates, slopes, unknown_numbers, value_of
+from halfshaft.cosim.forward import Interrupts
+from halfshaft.cosim.gradient import rates, unknown_numbers, value_of
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import Build, parameters_of, recorded
 from halfshaft.cosim.smooth import Smooth, record_of
@@ -40,8 +42,11 @@ from halfshaft.fmu_build.smooth import Rounding, SmoothStep, smooth_step, smooth
 from halfshaft.library.base.errors import InputError, not_a, number
 from halfshaft.library.base.rounded import rounded
 from halfshaft.models.vehicle import Vehicle
+from halfshaft.studies.acceleration import AccelerationTest
 from halfshaft.studies.optimal.optimum import Optimum, optimal
 from halfshaft.studies.optimal.search import obedient
+from halfshaft.studies.probes import probe_of
+from halfshaft.studies.sizing.ipopt import INTERRUPTED, Watch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,6 +55,8 @@ if TYPE_CHECKING:
 WIDTHS, WIDER = (0.03, 0.01), 10.0
 #: Most iterations of a stage.
 ITERATIONS = 150
+#: So many iterations whose goals differ by less than this part, and that miss no equation by more, end a stage.
+PATIENCE, GAIN, NEARLY = 10, 1e-4, 1e-3
 #: A derivative counts if what it moves is more than this part of its size.
 COUNTS = 1e-7
 #: What may be missed of the trace beyond the best known way [m/s], and the charge at the end.
@@ -60,8 +67,10 @@ AGAIN, SETTLED = 6, 5e-3
 SURE = 1e-3
 #: Part of a size by which a stage may move it: as far as tangents hold.
 MOVED = 0.3
-#: Longest time that a speed may take from rest, and length of the steps to it [s].
-LONGEST, SHORT = 60.0, 0.1
+
+
+#: Least curvature of a step, over the inverse of the number of steps and the width, and that of sizes.
+STIFF, CURVED = 1.0, 1.0
 
 
 class Reach(NamedTuple):
@@ -190,13 +199,13 @@ def transcribe(
         width = widths[min(k, len(widths) - 1)]
         program = _Program(task, now)
         began = time.perf_counter()
-        point, told = program.solve(width)
+        point = program.solve(width)
         tried = task.driven(now.car.with_values(point.sizes) if sizes else now.car, point.commands)
         stages.append(
             Stage(
                 width,
-                told["iter_count"],
-                told["return_status"],
+                point.iterations,
+                point.status,
                 time.perf_counter() - began,
                 point.goal,
                 tried.goal,
@@ -209,6 +218,8 @@ def transcribe(
         now = tried if sizes else max(tried, best, key=lambda way: (way.holds, -way.goal))
         if (tried.holds, -tried.goal) > (best.holds, -best.goal):
             best = tried
+        if point.status == INTERRUPTED:
+            break
     assert program is not None
     return Transcribed(
         best.car, cycle, dict(zip(compiled.step.commands, best.commands.T, strict=True)), task.result(best), best.goal, before.goal,
@@ -235,6 +246,8 @@ class _Point(NamedTuple):
     commands: Array
     sizes: dict[str, float]
     goal: float
+    iterations: int
+    status: str
 
 
 @dataclass(frozen=True)
@@ -308,24 +321,13 @@ class _Task:
 
     def times(self, car: Vehicle, names: Sequence[str]) -> tuple[list[float], Array]:
         """Return the time that each speed takes from rest, and its derivatives."""
-        found, derived = list[float](), np.zeros((len(self.reach), len(names)))
         if not self.reach:
-            return found, derived
-        top = 1.5 * max(r.speed for r in self.reach)
-        full = Cycle(name="full effort", time=np.array([0.0, 1.0, LONGEST]), speed=np.array([0.0, top, top]))
-        speed = self.compiled.step.tags.the("speed")
-        run = slopes(car, full, names, [], history=[speed], mode="refined", dt=SHORT)
-        v, dv = run.history[speed], run.history_gradient[speed]
-        for i, wanted in enumerate(self.reach):
-            if v.max() < wanted.speed:
-                found.append(np.inf)
-                continue
-            k = int(np.argmax(v >= wanted.speed))
-            before, dbefore = (v[k - 1], dv[k - 1]) if k else (0.0, np.zeros(len(names)))
-            share = (wanted.speed - before) / (v[k] - before)
-            found.append(run.time[k] - SHORT + SHORT * share)
-            derived[i] = -SHORT * ((1 - share) * dbefore + share * dv[k]) / (v[k] - before)
-        return found, derived
+            return [], np.zeros((0, len(names)))
+        pairs = tuple((0.0, 3.6 * r.speed) for r in self.reach)
+        figures = [f"time_0_to_{high:g}_kmh_s" for _, high in pairs]
+        found = probe_of(AccelerationTest(pairs=pairs, unit="km/h")).slopes(car, names, figures)
+        times = [found.values[figure] for figure in figures]
+        return [np.inf if np.isnan(t) else t for t in times], np.nan_to_num([found.gradients[figure] for figure in figures])
 
     def result(self, way: _Way) -> Result:
         """Return a way as a run."""
@@ -437,7 +439,7 @@ class _Program:
     def _shares(self) -> Array:
         return self.way.commands[:, self.task.shares].T
 
-    def solve(self, width: float) -> tuple[_Point, Mapping[str, Any]]:
+    def solve(self, width: float) -> _Point:
         """Solve at a width."""
         task, n, kept, exact = self.task, self.n, self.kept, self.task.form.exact
         x: Any = ca.MX.sym("x", len(kept), n + 1)
@@ -478,35 +480,53 @@ class _Program:
         low_x, high_x = np.full(start.shape, -np.inf), np.full(start.shape, np.inf)
         first: Any = self._first(kept)(z)
         low_x[charge], high_x[charge] = -base[charge] / scale[charge], (1 - base[charge]) / scale[charge]
-        g, low, high = (
-            ca.vertcat(g, x[:, 0] - first),
-            np.append(low, np.zeros(len(kept))),
-            np.append(high, np.zeros(len(kept))),
-        )
+        g, zeros = ca.vertcat(g, x[:, 0] - first), np.zeros(len(kept))
+        low, high = np.append(low, zeros), np.append(high, zeros)
         bounds = np.array([task.sizes[name] for name in self.names]).reshape(-1, 2) / self.size[:, None]
         low_z, high_z = np.maximum(bounds[:, 0], 1 - MOVED), np.minimum(bounds[:, 1], 1 + MOVED)
         unknowns = ca.vertcat(ca.vec(x), ca.vec(u), z)
         options = {
-            # Kinks of maps, rounded, bend the program both ways: with its second derivatives IPOPT wanders between them.
-            "hessian_approximation": "limited-memory", "max_iter": task.iterations, "print_level": 0, "sb": "yes", "mu_init": 1e-3,
+            "max_iter": task.iterations, "print_level": 0, "sb": "yes", "mu_init": 1e-3,
             "tol": 1e-6, "constr_viol_tol": 1e-8,
-            "acceptable_tol": 1e-2, "acceptable_constr_viol_tol": 1e-8, "acceptable_obj_change_tol": 1e-5, "acceptable_iter": 5,
         }  # fmt: skip
         program: Any = {"x": unknowns, "f": goal, "g": g}
-        silent: Any = {"ipopt": options, "print_time": False}
+        seen, listening, settled = list[tuple[float, float]](), Interrupts(), list[int]()
+
+        def note(_: Array, f: float, g: Array) -> bool:
+            seen.append((f, float(np.max(np.maximum(low - g, g - high), initial=0.0))))
+            goals, missed = np.array(seen[-PATIENCE:]).T
+            if len(seen) > PATIENCE and np.ptp(goals) < GAIN * abs(f) and missed.max() < NEARLY:
+                settled.append(len(seen))
+            return bool(settled) or listening.came
+
+        silent: Any = {
+            "ipopt": options, "print_time": False, "error_on_fail": False,
+            "iteration_callback": Watch(unknowns.numel(), g.numel(), note),
+        }  # fmt: skip
+        if task.shares:
+            # Kinks of maps, rounded, bend the program both ways: curvature that bends it down is left out, and steps are kept as short
+            # as the narrower kinks ask for.
+            curvature = _Curvature(x, u, z, goal, g, STIFF / (n * width))
+            silent["hess_lag"] = curvature
+        else:
+            options["hessian_approximation"] = "limited-memory"
         solver = ca.nlpsol("transcription", "ipopt", program, silent)
-        found = solver(
-            x0=np.concatenate([start.ravel("F"), shares.ravel("F"), np.clip(np.ones(len(self.names)), low_z, high_z)]),
-            lbx=np.concatenate([low_x.ravel("F"), low_u.ravel("F"), low_z]),
-            ubx=np.concatenate([high_x.ravel("F"), high_u.ravel("F"), high_z]),
-            lbg=low, ubg=high,
-        )  # fmt: skip
+        with suppress(KeyboardInterrupt), listening.listened_to():
+            found = solver(
+                x0=np.concatenate([start.ravel("F"), shares.ravel("F"), np.clip(np.ones(len(self.names)), low_z, high_z)]),
+                lbx=np.concatenate([low_x.ravel("F"), low_u.ravel("F"), low_z]),
+                ubx=np.concatenate([high_x.ravel("F"), high_u.ravel("F"), high_z]),
+                lbg=low,
+                ubg=high,
+            )
         values = np.array(found["x"]).ravel()
         commands = self.way.commands.copy()
         cut = start.size + shares.size
         commands[:, task.shares] = np.clip(values[start.size : cut].reshape(n, -1), 0, 1)
         sizes = {name: float(x) for name, x in zip(self.names, values[cut:] * self.size, strict=True)}
-        return _Point(commands, sizes, zero + float(found["f"]) * largest), solver.stats()
+        told = solver.stats()
+        status = INTERRUPTED if listening.came else "settled" if settled else str(told["return_status"]).replace("_", " ").lower()
+        return _Point(commands, sizes, zero + float(found["f"]) * largest, told["iter_count"], status)
 
     def _first(self, kept: list[int]) -> ca.Function:
         """Return the first states over their scales as a function of the sizes."""
@@ -514,6 +534,69 @@ class _Program:
         p = ca.DM(self.record.p) + ca.mtimes(ca.DM(self.rates * self.size), z - 1)
         (start,) = self.step.start.call([p])
         return ca.Function("first", [z], [(start[kept] - ca.DM(self.base[kept])) / ca.DM(self.scale[kept])])
+
+
+class _Curvature(ca.Callback):
+    """Second derivatives of the Lagrangian by states and commands, a block for each step, each made positive definite.
+
+    Parameters
+    ----------
+    x, u, z
+        States of each step, a column more than commands; commands; sizes, whose curvature is one number for all.
+    goal, g
+        What is minimised, and what is limited.
+    least
+        Least eigenvalue of a block.
+
+    """
+
+    def __init__(self, x: Any, u: Any, z: Any, goal: Any, g: Any, least: float) -> None:
+        ca.Callback.__init__(self)
+        (n_x, _), (n_u, n) = x.shape, u.shape
+        f, lam, states = ca.MX.sym("f"), ca.MX.sym("lam", g.numel()), x.numel()
+        self.whole, self.least, self.sizes = states + u.numel() + z.numel(), least, (states + u.numel() + z.numel(), 0, 1, g.numel())
+        found: Any = ca.triu(ca.hessian(f * goal + ca.dot(lam, g), ca.vertcat(ca.vec(x), ca.vec(u)))[0])
+        self.hessian = ca.Function("hessian", [ca.vertcat(ca.vec(x), ca.vec(u), z), ca.MX.sym("none", 0), f, lam], [found])
+        own = np.arange(n)[:, None]
+        members = np.column_stack([n_x * own + np.arange(n_x), states + n_u * own + np.arange(n_u)])
+        block, place = np.full(self.whole, -1), np.zeros(self.whole, dtype=int)
+        block[members], place[members] = own, np.arange(n_x + n_u)
+        row, column = (np.array(i) for i in found.sparsity().get_triplet())
+        self.at, self.shape = (block[row], place[row], place[column]), (n, n_x + n_u, n_x + n_u)
+        upper = np.triu_indices(n_x + n_u)
+        rest = np.setdiff1d(np.arange(self.whole), members)
+        rows, columns = (np.concatenate([members[:, i].ravel(), rest]) for i in upper)
+        self.upper, self.order = upper, np.lexsort((rows, columns))
+        #: What is in no block is linear: the last states, and sizes.
+        self.rest = np.where(rest < states, least, CURVED)
+        self.pattern = ca.Sparsity.triplet(self.whole, self.whole, rows.tolist(), columns.tolist())
+        self.construct("curvature", {})
+
+    def get_n_in(self) -> int:
+        return 4
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return ("x", "p", "lam_f", "lam_g")[i]
+
+    def get_name_out(self, _: int) -> str:
+        return "hess"
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return ca.Sparsity.dense(self.sizes[i], 1)
+
+    def get_sparsity_out(self, _: int) -> Any:
+        return self.pattern
+
+    def eval(self, given: Any) -> Any:
+        blocks = np.zeros(self.shape)
+        # A root at the end of its range has none.
+        blocks[self.at] = np.nan_to_num(self.hessian(*given).nonzeros(), nan=0.0, posinf=0.0, neginf=0.0)
+        values, vectors = np.linalg.eigh(blocks, UPLO="U")
+        blocks = vectors * np.maximum(values, self.least)[:, None, :] @ vectors.transpose(0, 2, 1)
+        return [ca.DM(self.pattern, np.concatenate([blocks[:, *self.upper].ravel(), self.rest])[self.order])]
 
 
 def _check(vehicle: Any, cycle: Any, sizes: Mapping[str, Any], widths: Sequence[float], iterations: Any) -> None:

@@ -14,6 +14,9 @@ def test_a_split_is_no_worse_than_dynamic_programming(name: str, cycle: str) -> 
     found = transcribe(Vehicle.load(name), Cycle.load(cycle))
     assert found.holds
     assert found.goal <= found.before
+    # What IPOPT found by itself, not only the way that it set out from.
+    assert min(stage.exact for stage in found.stages if stage.holds) <= 1.0002 * found.before
+    assert all(stage.status != "maximum iterations exceeded" for stage in found.stages)
     for stage in found.stages:
         # What the program says comes true on the exact step.
         assert stage.smooth == pytest.approx(stage.exact, rel=3e-2)

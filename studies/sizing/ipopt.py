@@ -102,7 +102,7 @@ class _Jacobian(ca.Callback):
         return [ca.DM(found.goal_gradient).T, ca.DM(found.excess_gradient)]
 
 
-class _Watch(ca.Callback):
+class Watch(ca.Callback):
     """Notes each iteration, and ends the solver when it is told to."""
 
     def __init__(self, n: int, m: int, note: Callable[[Array, float, Array], bool]) -> None:
@@ -111,16 +111,20 @@ class _Watch(ca.Callback):
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
+        """Return how many inputs there are."""
         return ca.nlpsol_n_out()
 
     def get_n_out(self) -> int:
+        """Return how many outputs there are."""
         return 1
 
     def get_sparsity_in(self, i: int) -> Any:
+        """Return the shape of an input."""
         rows = {"x": self.n, "lam_x": self.n, "f": 1, "g": self.m, "lam_g": self.m}.get(ca.nlpsol_out(i), 0)
         return ca.Sparsity.dense(rows, 1 if rows else 0)
 
     def eval(self, given: Any) -> Any:
+        """Note an iteration, and return whether to end."""
         places = {ca.nlpsol_out(i): np.array(x).ravel() for i, x in enumerate(given)}
         return [int(self.note(places["x"], float(places["f"][0]), places["g"]))]
 
@@ -175,7 +179,7 @@ def solve(bench: Bench, start: Array, *, iterations: int, cycles: int) -> Solved
     if failed:
         raise failed[0]
     scale = abs(first.goal) if np.isfinite(first.goal) and first.goal else 1.0
-    model, watch, x = _Model(n, m, at), _Watch(n, m, note), ca.MX.sym("x", n)
+    model, watch, x = _Model(n, m, at), Watch(n, m, note), ca.MX.sym("x", n)
     f, g = model(x)
     f = f / scale
     problem: Any = {"x": x, "f": f, "g": g}

@@ -22,14 +22,14 @@ def test_without_losses_a_convex_source_gives_the_same_power_whenever_it_runs(fo
     apart = np.sort(np.abs(share[steady] / np.median(share[steady]) - 1))
     assert apart[-2] < 0.01
     # The grid of dynamic programming is wider than that.
-    assert np.ptp(found.optimum.best.commands["control.share"][steady]) > 0.02
+    assert np.ptp(found.optimum.best.commands["control.share"][steady]) > 0.03
 
 
-def test_the_exact_step_burns_what_the_program_says_and_no_more_than_on_a_grid(found):
+def test_the_exact_step_burns_what_the_program_says_and_no_more_than_on_a_fine_grid(found):
     (stage,) = found.stages
     assert found.holds
+    assert stage.exact == pytest.approx(found.before, rel=1e-5)
     assert found.goal == min(stage.exact, found.before)
-    assert stage.exact == pytest.approx(found.before, rel=1e-4)
     assert stage.smooth == pytest.approx(stage.exact, rel=1e-4)
     assert found.result["fuel_cell.fuel_used"][-1] == pytest.approx(found.goal, rel=1e-12)
     assert found.result.the("charge")[-1] >= found.optimum.charge(found.optimum.best)[-1] - 1e-6
