@@ -191,39 +191,31 @@ def transcribe(
     commands = np.column_stack([*optimum.best.commands.values()]) if optimum else np.zeros((len(task.samples.t), 0))
     before = task.driven(car, commands)
     # At the sizes to begin with a speed may take too long: then that way is no answer.
-    best, stages, program, now = before, list[Stage](), None, before
+    best, stages, counted, now = before, list[Stage](), (0, 0), before
     settled = False
-    for k in range(len(widths) + (AGAIN if sizes else 0)):
-        if k >= len(widths) and settled:
-            break
-        width = widths[min(k, len(widths) - 1)]
-        program = _Program(task, now)
-        began = time.perf_counter()
-        point = program.solve(width)
-        tried = task.driven(now.car.with_values(point.sizes) if sizes else now.car, point.commands)
-        stages.append(
-            Stage(
-                width,
-                point.iterations,
-                point.status,
-                time.perf_counter() - began,
-                point.goal,
-                tried.goal,
-                point.sizes,
-                tried.holds,
-            )
-        )
-        settled = tried.holds and all(abs(x / value_of(now.car, name) - 1) < SETTLED for name, x in point.sizes.items())
-        # Sizes go on from where they are; commands alone, from the best ones.
-        now = tried if sizes else max(tried, best, key=lambda way: (way.holds, -way.goal))
-        if (tried.holds, -tried.goal) > (best.holds, -best.goal):
-            best = tried
-        if point.status == INTERRUPTED:
-            break
-    assert program is not None
+    # An interrupt ends the search with the best way so far.
+    with suppress(KeyboardInterrupt):
+        for k in range(len(widths) + (AGAIN if sizes else 0)):
+            if k >= len(widths) and settled:
+                break
+            width = widths[min(k, len(widths) - 1)]
+            program = _Program(task, now)
+            counted = len(program.kept), program.n_unknowns
+            began = time.perf_counter()
+            point = program.solve(width)
+            tried = task.driven(now.car.with_values(point.sizes) if sizes else now.car, point.commands)
+            taken = time.perf_counter() - began
+            stages.append(Stage(width, point.iterations, point.status, taken, point.goal, tried.goal, point.sizes, tried.holds))
+            settled = tried.holds and all(abs(x / value_of(now.car, name) - 1) < SETTLED for name, x in point.sizes.items())
+            # Sizes go on from where they are; commands alone, from the best ones.
+            now = tried if sizes else max(tried, best, key=lambda way: (way.holds, -way.goal))
+            if (tried.holds, -tried.goal) > (best.holds, -best.goal):
+                best = tried
+            if point.status == INTERRUPTED:
+                break
     return Transcribed(
         best.car, cycle, dict(zip(compiled.step.commands, best.commands.T, strict=True)), task.result(best), best.goal, before.goal,
-        tuple(stages), best.reached, best.holds, optimum, len(program.kept), program.n_unknowns,
+        tuple(stages), best.reached, best.holds, optimum, *counted,
     )  # fmt: skip
 
 
