@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
 from halfshaft.cosim.units import Units
+from halfshaft.cosim.ways import Mode
 from halfshaft.library.base.errors import HalfshaftError
 from halfshaft.library.files.writing import target_problem
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     # Each command imports what it runs: the help needs none of it.
     from halfshaft.cosim.cycle import Cycle
     from halfshaft.models.vehicle import Vehicle
+    from halfshaft.studies.task import Task
 
 T = TypeVar("T")
 
@@ -56,6 +59,14 @@ VehicleNames = Annotated[
 CycleNames = Annotated[
     list[str] | None,
     typer.Option("--cycle", metavar="CYCLE", help="Name in the library, or a CSV file; repeatable.", autocompletion=_cycles),
+]
+TestNames = Annotated[
+    list[str] | None,
+    typer.Option("--test", metavar="TEST", help="acceleration, gradeability, top-speed, a procedure or its TOML file; repeatable."),
+]
+Correction = Annotated[
+    Literal["zero-delta", "linear"] | None,
+    typer.Option("--correction", help="Drive the cycles so that a hybrid keeps its charge."),
 ]
 Smooth = Annotated[float | None, typer.Option(metavar="S", help="Smooth the trace of a recorder over windows of so many seconds.")]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle, body.m.")]
@@ -128,6 +139,30 @@ class Checks:
             return
         self.step_fits = False
 
+    def tasks(
+        self,
+        cycles: Sequence[str] | None,
+        tests: Sequence[str] | None,
+        correction: Literal["zero-delta", "linear"] | None,
+        mode: Mode,
+        dt: float,
+    ) -> list[Any]:
+        """Return what a study does with a vehicle: the cycles, with or without a correction of the charge, and tests by name."""
+        from halfshaft.cosim.cycle import Cycle
+        from halfshaft.studies.soc_correction import Linear, ZeroDelta
+        from halfshaft.studies.task import Drive
+
+        traces = [self.take(partial(Cycle.load, name)) for name in cycles or ()]
+        for trace in traces:
+            self.step(dt, trace)
+        named = [self.take(partial(_named_test, name)) for name in tests or ()]
+        if not (traces or named):
+            self.problem("nothing to do: name a cycle or a test, such as --cycle udds or --test acceleration")
+        if correction is not None and not traces:
+            self.problem(f"--correction {correction} goes with --cycle")
+        drive: Any = {None: Drive, "zero-delta": ZeroDelta, "linear": Linear}[correction]
+        return [*(drive(cycle=trace, mode=mode, dt=dt) for trace in traces if trace), *(task for task in named if task)]
+
     def target(self, path: Path | None, option: str) -> None:
         """Note a file that cannot be written."""
         if path is not None and (problem := target_problem(path)):
@@ -168,6 +203,18 @@ class Checks:
             raise self._errors[0]
         if self._errors:
             raise HalfshaftError("\n  ".join(["several things are wrong:", *(str(e).replace("\n", "\n  ") for e in self._errors)]))
+
+
+def _named_test(name: str) -> Task:
+    """Return a test by its name, as `halfshaft test` runs it where nothing else is said."""
+    from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
+    from halfshaft.studies.gradeability import GradeabilityTest
+    from halfshaft.studies.procedure import Procedure
+
+    if name == "acceleration":
+        return AccelerationTest(pairs=((0, 50), (0, 100), (80, 120)), unit="km/h")
+    plain: dict[str, type[Any]] = {"gradeability": GradeabilityTest, "top-speed": TopSpeedTest}
+    return plain[name]() if name in plain else Procedure.load(name)
 
 
 def number_or_text(text: str) -> float | str:

@@ -26,6 +26,7 @@ from mkdocs.structure.pages import Page
 from halfshaft import Cycle, Record, Vehicle, calibrate, component_names, optimal, plot_run, run, uncertainty
 from halfshaft.app.show import any_component
 from halfshaft.cosim.maps import plot_maps
+from halfshaft.cosim.plot import drawing, dress
 from halfshaft.cosim.smooth import smoothed
 from halfshaft.library.base.component import Component
 from halfshaft.library.base.parameters import Parameters, Spec, spec_of
@@ -64,26 +65,33 @@ def sized(name: str) -> tuple[Figure, str]:
 
 def smooth() -> tuple[Figure, str]:
     """Return how the smooth step comes to the exact one: over a cycle, and across a limit."""
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
     widths, cycle = 10.0 ** np.arange(-7, -0.5, 0.5), Cycle.load("udds")
-    for name, output in (("electric", "battery.soc"), ("series-follower", "engine.fuel_used"), ("parallel", "engine.fuel_used"),
-                         ("conventional", "engine.fuel_used")):  # fmt: skip
-        car = Vehicle.load(f"small-car-{name}")
-        form, exact = smoothed(car, cycle), run(car, cycle).last[output]
-        at = form.step.output_index[output]
-        apart = [abs(form.march(w).last[at] / exact - 1) for w in widths]
-        left.loglog(widths, apart, ".-", label=f"{name}, {'charge' if output == 'battery.soc' else 'fuel'}")
-    left.set(xlabel="width", ylabel="part by which the exact value is missed", title="UDDS")
-    left.legend(fontsize=8)
-    car, full = Vehicle.load("small-car-electric"), Cycle(name="start", time=[0.0, 1.0], speed=[0.0, 4.5])
-    form, scales = smoothed(car, full), np.linspace(0.43, 0.49, 121)
-    cars, at = [car.with_values({"motor.torque_scale": float(x), "body.m": 1144.0}) for x in scales], form.step.output_index["body.v"]
-    for w in (0.1, 0.03, 0.01):
-        right.plot(scales, [form.march(w, other).last[at] for other in cars], label=f"width {w:g}")
-    right.plot(scales, [run(other, full).last["body.v"] for other in cars], "k:", label="exact")
-    right.set(xlabel="motor.torque_scale", ylabel="speed [m/s]", title="4.5 m/s asked for after one second")
-    right.legend(fontsize=8)
+    drawn = {
+        "parallel": "engine.fuel_used",
+        "conventional": "engine.fuel_used",
+        "series-follower": "engine.fuel_used",
+        "electric": "battery.soc",
+    }
+    full, scales = Cycle(name="start", time=[0.0, 1.0], speed=[0.0, 4.5]), np.linspace(0.43, 0.49, 121)
+    with drawing(None, (9.0, 4.0), 0.75, "smooth step", ["UDDS", "a second at a limit"]) as figure:
+        left, right = (figure.add_axes((x, 0.14, 0.39, 0.62)) for x in (0.083, 0.575))
+        for (name, output), line in zip(drawn.items(), ("-", "-", "-", "--"), strict=True):
+            car = Vehicle.load(f"small-car-{name}")
+            form, exact = smoothed(car, cycle), run(car, cycle).last[output]
+            at = form.step.output_index[output]
+            apart = [abs(form.march(w).last[at] / exact - 1) for w in widths]
+            left.loglog(widths, apart, line, marker=".", label=f"{name}, {'charge' if output == 'battery.soc' else 'fuel'}")
+        left.set(xlabel="width", ylabel="part of the exact value that is missed")
+        car = Vehicle.load("small-car-electric")
+        form = smoothed(car, full)
+        cars, at = [car.with_values({"motor.torque_scale": float(x), "body.m": 1144.0}) for x in scales], form.step.output_index["body.v"]
+        for w in (0.1, 0.03, 0.01):
+            right.plot(scales, [form.march(w, other).last[at] for other in cars], lw=1.1, label=f"width {w:g}")
+        right.plot(scales, [run(other, full).last["body.v"] for other in cars], "k:", lw=1.1, label="exact")
+        right.set(xlabel="motor.torque_scale", ylabel="speed after one second [m/s]")
+        for ax in (left, right):
+            dress(ax)
+            ax.legend(frameon=False, loc="upper left", fontsize=8)
     return figure, "The smooth step comes to the exact one in proportion to the width; a limit is a bend"
 
 

@@ -24,7 +24,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -67,8 +67,6 @@ AGAIN, SETTLED = 6, 5e-3
 SURE = 1e-3
 #: Part of a size by which a stage may move it: as far as tangents hold.
 MOVED = 0.3
-
-
 #: Least curvature of a step, over the inverse of the number of steps and the width, and that of sizes.
 STIFF, CURVED = 1.0, 1.0
 
@@ -187,8 +185,9 @@ def transcribe(
     optimum = optimal(vehicle, cycle, dt=dt) if free else None
     car = optimum.vehicle if optimum else vehicle
     compiled = obedient(Build(vehicle), free)
-    task = _Task(cycle, cycle.sampled(dt), dt, compiled, smooth_step(compiled.step), sizes, limits, optimum, iterations)
-    commands = np.column_stack([*optimum.best.commands.values()]) if optimum else np.zeros((len(task.samples.t), 0))
+    samples = cycle.sampled(dt)
+    commands = np.column_stack([*optimum.best.commands.values()]) if optimum else np.zeros((len(samples.t), 0))
+    task = _Task(car, commands, cycle, samples, dt, compiled, smooth_step(compiled.step), sizes, limits, optimum, iterations)
     before = task.driven(car, commands)
     # At the sizes to begin with a speed may take too long: then that way is no answer.
     best, stages, counted, now = before, list[Stage](), (0, 0), before
@@ -244,8 +243,10 @@ class _Point(NamedTuple):
 
 @dataclass(frozen=True)
 class _Task:
-    """What is asked for, and the steps that it is asked of."""
+    """What is asked for, the way to set out from, and the steps that it is asked of."""
 
+    car: Vehicle
+    commands: Array
     cycle: Cycle
     samples: Samples
     dt: float
@@ -255,7 +256,6 @@ class _Task:
     reach: tuple[Reach, ...]
     optimum: Optimum | None
     iterations: int
-    limit: list[float] = field(default_factory=list)
 
     @cached_property
     def charge(self) -> int:
@@ -277,6 +277,15 @@ class _Task:
     def shares(self) -> list[int]:
         """Positions of the commands that are solved for."""
         return [i for i, c in enumerate(self.compiled.step.commands.values()) if c.kind == "share"]
+
+    @cached_property
+    def most_missed(self) -> float:
+        """What may be missed of the trace [m/s]."""
+        return self.missed(self.march(self.car, self.commands)[0]) + MISSED
+
+    def missed(self, rows: Array) -> float:
+        """Return what is missed of the trace at most [m/s]."""
+        return float(rows[:, self.compiled.step.output_index[self.compiled.step.tags.the("miss")]].max())
 
     def march(self, car: Vehicle, commands: Array) -> tuple[Array, Array]:
         """Return outputs and last state of the exact step."""
@@ -303,11 +312,9 @@ class _Task:
             kept = bool(state[self.charge] >= target - CHARGED)
         else:
             kept = bool(state[self.charge] > 0)
-        missed = float(rows[:, self.compiled.step.output_index[self.compiled.step.tags.the("miss")]].max())
-        if not self.limit:
-            self.limit.append(missed + MISSED)
+        missed = self.missed(rows)
         reached = tuple(self.times(car, ())[0])
-        holds = kept and missed <= self.limit[0] and all(t <= r.time for t, r in zip(reached, self.reach, strict=True))
+        holds = kept and missed <= self.most_missed and all(t <= r.time for t, r in zip(reached, self.reach, strict=True))
         goal = state[self.fuel] if self.fuel is not None else self.samples.dt @ rows[:, self.stored].sum(axis=1)
         return _Way(car, commands, rows, float(goal), float(state[self.charge]), missed, reached, holds)
 
@@ -462,7 +469,7 @@ class _Program:
         reached = ca.MX(ca.DM(times)) + ca.mtimes(ca.DM(dtimes * self.size), z - 1) if self.names and times else ca.MX(0, 1)
         g = ca.vertcat(ca.vec(gaps), ca.vec(follows[len(kept), :]), x[charge, n] - (target - base[charge]) / scale[charge], reached)
         # The exact step's own misses stay as they are; rounding adds to them.
-        most = np.full(n, task.limit[0] + width * np.abs(task.samples.v).max())
+        most = np.full(n, task.most_missed + width * np.abs(task.samples.v).max())
         low = np.concatenate([np.zeros(gaps.numel()), np.full(n, -np.inf), [0.0], np.full(reached.numel(), -np.inf)])
         high = np.concatenate([np.zeros(gaps.numel()), most, [np.inf], [r.time * (1 - SURE) for r in task.reach][: reached.numel()]])
 
@@ -503,6 +510,7 @@ class _Program:
         else:
             options["hessian_approximation"] = "limited-memory"
         solver = ca.nlpsol("transcription", "ipopt", program, silent)
+        found: Any = None
         with suppress(KeyboardInterrupt), listening.listened_to():
             found = solver(
                 x0=np.concatenate([start.ravel("F"), shares.ravel("F"), np.clip(np.ones(len(self.names)), low_z, high_z)]),
@@ -511,6 +519,8 @@ class _Program:
                 lbg=low,
                 ubg=high,
             )
+        if found is None:
+            raise KeyboardInterrupt
         values = np.array(found["x"]).ravel()
         commands = self.way.commands.copy()
         cut = start.size + shares.size

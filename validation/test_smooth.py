@@ -14,8 +14,8 @@ from halfshaft.models.assembly import Step
 from halfshaft.models.vehicle import Vehicle, vehicle_names
 
 CYCLES = ("udds", "us06")
-#: Part of fuel and charge used by which a width of 0.0001 may be off: where charge goes in and out, little of it is used.
-NEAR = 2e-2
+#: Part of fuel and charge used by which a width of 0.0001 may be off.  These two end nearly with the charge that they began with.
+NEAR, EVEN = 6e-4, {("large-car-fuel-cell", "udds"): 1e-2, ("small-car-series", "us06"): 2.5e-3}
 
 
 def used(step: Step, last: Any, first: Any) -> Mapping[str, float]:
@@ -36,10 +36,9 @@ def test_fuel_and_charge_come_to_those_of_the_exact_step(name: str, cycle: str) 
     for width in (1e-4, 1e-6, 1e-8):
         found = used(form.step, form.march(width).last, first)
         apart.append(max(abs(found[k] - x) / abs(x) for k, x in expected.items() if x != 0))
-    assert apart[0] < NEAR
-    assert apart[1] < 2e-4
+    assert apart[0] < EVEN.get((name, cycle), NEAR)
     # In proportion to the width.
-    assert apart[2] < 0.02 * apart[1] + 1e-8
+    assert apart[1:] == pytest.approx([0.01 * apart[0], 1e-4 * apart[0]], rel=0.05)
 
 
 @pytest.mark.parametrize("name", vehicle_names())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 from rich.markup import escape
 
-from halfshaft.app.options import Checks, CycleNames, Json, Mass, Soc, Values, VehicleNames
+from halfshaft.app.options import Checks, Correction, CycleNames, Json, Mass, Soc, TestNames, Values, VehicleNames
 from halfshaft.app.output import busy, console, counted, new_table, print_json, print_line, print_written, resumable
 from halfshaft.app.program import app
 from halfshaft.cosim.ways import Mode
@@ -18,13 +18,10 @@ from halfshaft.cosim.ways import Mode
 if TYPE_CHECKING:
     import xarray as xr
 
-    from halfshaft.studies.task import Task
 
 Kind: TypeAlias = Literal["lines", "contours", "slices", "tornado", "indices"]
 #: At most so many points are printed one by one, and so many failures named.
 ROWS, FAILURES = 40, 5
-#: The tests that are no procedures.
-TESTS = ("acceleration", "gradeability", "top-speed")
 
 
 @app.command(
@@ -47,13 +44,8 @@ def _sweep(
     vehicles: VehicleNames,
     axis: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUES", help="What varies; repeatable.")] = None,
     cycle: CycleNames = None,
-    test: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TEST", help="acceleration, gradeability, top-speed, a procedure or its TOML file; repeatable."),
-    ] = None,
-    correction: Annotated[
-        Literal["zero-delta", "linear"] | None, typer.Option(help="Drive the cycles so that a hybrid keeps its charge.")
-    ] = None,
+    test: TestNames = None,
+    correction: Correction = None,
     sample: Annotated[
         str | None, typer.Option(metavar="KIND:N", help="Draw N points, lhs:N or sobol:N; saltelli:N for Sobol's indices.")
     ] = None,
@@ -76,26 +68,16 @@ def _sweep(
     soc: Soc = None,
     as_json: Json = False,
 ) -> None:
-    from halfshaft.cosim.cycle import Cycle
     from halfshaft.cosim.figures import main_of
     from halfshaft.studies.design import read_axes
     from halfshaft.studies.effects import Constraint, kind_problems
     from halfshaft.studies.job import FAILURE
-    from halfshaft.studies.soc_correction import Linear, ZeroDelta
     from halfshaft.studies.sweep import sweep, table
-    from halfshaft.studies.task import Drive
 
     checks = Checks()
     cars = [checks.vehicle(name, mass, values, soc) for name in vehicles]
-    traces = [checks.take(partial(Cycle.load, name)) for name in cycle or ()]
-    for trace in traces:
-        checks.step(dt, trace)
+    tasks = checks.tasks(cycle, test, correction, mode, dt)
     axes = read_axes(axis or (), checks.problem)
-    tests = [checks.take(partial(named_test, name)) for name in test or ()]
-    if not (traces or tests):
-        checks.problem("nothing to do: name a cycle or a test, such as --cycle udds or --test acceleration")
-    if correction is not None and not traces:
-        checks.problem(f"--correction {correction} goes with --cycle")
     checks.folder(out, "--out")
     checks.target(plot, "--plot")
     limits = [checks.take(partial(Constraint.read, text)) for text in constraint or ()]
@@ -109,9 +91,6 @@ def _sweep(
             checks.problem(*(f"--kind {p}" for p in kind_problems(kind, sum("." in name for name in axes), sample is not None)))
     checks.raise_problems()
     found_cars = [car for car in cars if car is not None]
-    drives = {None: Drive, "zero-delta": ZeroDelta, "linear": Linear}
-    tasks: list[Any] = [drives[correction](cycle=trace, mode=mode, dt=dt) for trace in traces if trace is not None]
-    tasks += [task for task in tests if task is not None]
     # A constraint on what no point has is said before the sweep runs, not when it is drawn.
     needed = [*response, *(limit.name for limit in limits if limit is not None)] if response else []
     title = f"{', '.join(car.name for car in found_cars)} over {', '.join(task.name for task in tasks)}"
@@ -134,17 +113,6 @@ def _sweep(
             plot_sweep(found, response or drawn[:1], kind=kind, constraints=constraint or (), path=plot)
     if not as_json:
         print_written(out, plot)
-
-
-def named_test(name: str) -> Task:
-    """Return a test by its name, as `halfshaft test` runs it where nothing else is said."""
-    from halfshaft.studies.acceleration import AccelerationTest, TopSpeedTest
-    from halfshaft.studies.gradeability import GradeabilityTest
-    from halfshaft.studies.procedure import Procedure
-
-    if name == "acceleration":
-        return AccelerationTest(pairs=((0, 50), (0, 100), (80, 120)), unit="km/h")
-    return {"gradeability": GradeabilityTest, "top-speed": TopSpeedTest}[name]() if name in TESTS else Procedure.load(name)
 
 
 def _print(title: str, found: xr.Dataset, responses: Sequence[str]) -> None:

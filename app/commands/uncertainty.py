@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 
-from halfshaft.app.commands.sweep import named_test
-from halfshaft.app.options import Checks, CycleNames, Json, Mass, Soc, Values, VehicleName, number_or_text
+from halfshaft.app.options import Checks, Correction, CycleNames, Json, Mass, Soc, TestNames, Values, VehicleName, number_or_text
 from halfshaft.app.output import console, counted, new_table, print_json, print_line, print_written, resumable
 from halfshaft.app.program import app
 from halfshaft.cosim.ways import Mode
@@ -36,13 +35,8 @@ def _uncertainty(
     vehicle: VehicleName,
     vary: Annotated[list[str] | None, typer.Option(metavar="NAME=DISTRIBUTION", help="A number and its distribution; repeatable.")] = None,
     cycle: CycleNames = None,
-    test: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TEST", help="acceleration, gradeability, top-speed, a procedure or its TOML file; repeatable."),
-    ] = None,
-    correction: Annotated[
-        Literal["zero-delta", "linear"] | None, typer.Option(help="Drive the cycles so that a hybrid keeps its charge.")
-    ] = None,
+    test: TestNames = None,
+    correction: Correction = None,
     correlation: Annotated[
         list[str] | None, typer.Option(metavar="NAME,NAME=R", help="How two numbers hang together, -1 to 1; repeatable.")
     ] = None,
@@ -68,30 +62,17 @@ def _uncertainty(
     soc: Soc = None,
     as_json: Json = False,
 ) -> None:
-    from halfshaft.cosim.cycle import Cycle
     from halfshaft.studies.effects import Constraint
-    from halfshaft.studies.soc_correction import Linear, ZeroDelta
-    from halfshaft.studies.task import Drive
     from halfshaft.studies.uncertainty import uncertainty
 
     checks = Checks()
     car = checks.vehicle(vehicle, mass, values, soc)
-    traces = [checks.take(partial(Cycle.load, name)) for name in cycle or ()]
-    for trace in traces:
-        checks.step(dt, trace)
-    tests = [checks.take(partial(named_test, name)) for name in test or ()]
-    if not (traces or tests):
-        checks.problem("nothing to do: name a cycle or a test, such as --cycle udds or --test acceleration")
-    if correction is not None and not traces:
-        checks.problem(f"--correction {correction} goes with --cycle")
+    tasks = checks.tasks(cycle, test, correction, mode, dt)
     distributions, together = _pairs(vary or (), "--vary", checks), _pairs(correlation or (), "--correlation", checks)
     limits = [checks.take(partial(Constraint.read, text)) for text in constraint or ()]
     checks.folder(out, "--out")
     checks.picture(plot, "--plot")
     checks.raise_problems()
-    drives = {None: Drive, "zero-delta": ZeroDelta, "linear": Linear}
-    tasks: list[Any] = [drives[correction](cycle=trace, mode=mode, dt=dt) for trace in traces if trace is not None]
-    tasks += [task for task in tests if task is not None]
     pairs = {tuple(name.strip() for name in names.split(",")): number_or_text(r) for names, r in together.items()}
     needed = [*figure, *(limit.name for limit in limits if limit is not None)] if figure else []
     with resumable(out), counted(f"uncertainty: {vehicle}") as progress:

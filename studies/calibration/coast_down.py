@@ -25,6 +25,7 @@ from halfshaft.library.base.errors import InputError, number
 from halfshaft.library.files.component_file import parse_quantity
 from halfshaft.library.files.notebook import Grid, card
 from halfshaft.studies.calibration.least_squares import Array, Fit, Loss, Measured, Unknown, fit
+from halfshaft.studies.calibration.record import checked_rows
 from halfshaft.studies.calibration.road_load import COEFFICIENTS, RoadLoad
 from halfshaft.studies.calibration.roll_out import rolled
 
@@ -67,23 +68,7 @@ class CoastDown:
 
     def __post_init__(self) -> None:
         """Check what was given."""
-        problems = []
-        for what in ("time", "speed"):
-            try:
-                row = np.array(getattr(self, what), dtype=float)
-            except (TypeError, ValueError):
-                row = np.empty((0, 0))
-            object.__setattr__(self, what, row)
-            if row.ndim != 1:
-                problems.append(f"{what} must be a row of numbers")
-            elif bad := np.flatnonzero(~np.isfinite(row)).tolist():
-                problems.append(
-                    f"{what} is no finite number in row {', '.join(str(i + 1) for i in bad[:5])}{' and others' if len(bad) > 5 else ''}"
-                )
-        if not problems and len(self.time) != len(self.speed):
-            problems.append(f"speed has {len(self.speed)} rows, time has {len(self.time)}")
-        if not problems and np.any(np.diff(self.time) <= 0):
-            problems.append("time must rise")
+        problems = checked_rows(self, "time", "speed")
         if self.direction not in (1, -1):
             problems.append(f"direction = {self.direction!r}, must be 1 or -1")
         if problems:

@@ -91,6 +91,7 @@ def plot_coast_down(found: CoastedDown, *, path: str | Path | None = None) -> Pi
         axes[1].set_ylabel("residual [km/h]")
         axes[1].set_xlabel("time [s]")
         _force(axes[2], found.load)
+        axes[2].legend(frameon=False, loc="upper left")
         axes[2].set_xlabel("speed [km/h]")
     return figure
 

@@ -40,6 +40,29 @@ _OUTPUT = re.compile(r"\w+\.\w+")
 NAMED = 5
 
 
+def checked_rows(given: object, *columns: str) -> list[str]:
+    """Keep columns of an object, the first of them its times, as arrays of floats; return what is wrong with them."""
+    problems, arrays = [], list[Array]()
+    for what in columns:
+        try:
+            row = np.array(getattr(given, what), dtype=float)
+        except (TypeError, ValueError):
+            row = np.empty((0, 0))
+        object.__setattr__(given, what, row)
+        arrays.append(row)
+        if row.ndim != 1:
+            problems.append(f"{what} must be a row of numbers")
+        elif bad := np.flatnonzero(~np.isfinite(row)).tolist():
+            rows = ", ".join(str(i + 1) for i in bad[:NAMED]) + (f" and {len(bad) - NAMED} more" if len(bad) > NAMED else "")
+            problems.append(f"{what} is no finite number in row {rows}")
+    lengths = zip(columns[1:], arrays[1:], strict=True)
+    if not problems:
+        problems += [f"{what} has {len(x)} rows, time has {len(arrays[0])}" for what, x in lengths if len(x) != len(arrays[0])]
+    if not problems and np.any(np.diff(arrays[0]) <= 0):
+        problems.append("time must rise")
+    return problems
+
+
 @dataclass(frozen=True)
 class Reading:
     """How one output was measured.
@@ -94,22 +117,7 @@ class Series:
 
     def __post_init__(self) -> None:
         """Check what was given, and keep it as arrays of floats."""
-        problems = []
-        for what in ("time", "values"):
-            try:
-                row = np.array(getattr(self, what), dtype=float)
-            except (TypeError, ValueError):
-                row = np.empty((0, 0))
-            object.__setattr__(self, what, row)
-            if row.ndim != 1:
-                problems.append(f"{what} must be a row of numbers")
-            elif bad := np.flatnonzero(~np.isfinite(row)).tolist():
-                rows = ", ".join(str(i + 1) for i in bad[:NAMED]) + (f" and {len(bad) - NAMED} more" if len(bad) > NAMED else "")
-                problems.append(f"{what} is no finite number in row {rows}")
-        if not problems and len(self.time) != len(self.values):
-            problems.append(f"values has {len(self.values)} rows, time has {len(self.time)}")
-        if not problems and np.any(np.diff(self.time) <= 0):
-            problems.append("time must rise")
+        problems = checked_rows(self, "time", "values")
         if self.reading.how not in (None, *get_args(How)):
             problems.append(f"how = {self.reading.how!r}, must be one of {', '.join(get_args(How))}")
         if not math.isfinite(number(self.reading.offset)):

@@ -8,6 +8,7 @@ from halfshaft import Cycle, InputError, Vehicle, run
 from halfshaft.cosim.gradient import rates, slopes
 from halfshaft.cosim.result import Result
 from halfshaft.cosim.simulate import parameters_of, stepper_of
+from halfshaft.cosim.smooth import record_of
 from halfshaft.fmu_build.graph import step_graph
 
 CAR, UDDS = Vehicle.load("small-car-electric"), Cycle.load("udds")
@@ -52,73 +53,30 @@ def test_the_values_are_those_of_a_run_to_the_bit(name, cycle, mode):
     assert found.values[outputs[0], 17.0] == result[outputs[0]][16]
 
 
-#: What each operation is, for rows of numbers; a twin of the writers.
-NUMPY = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "sq": np.square, "twice": lambda a: 2 * a,
-    "inv": np.reciprocal, "sqrt": np.sqrt, "fabs": np.abs, "min": np.minimum, "max": np.maximum, "sign": np.sign, "exp": np.exp,
-    "log": np.log, "pow": np.power, "tanh": np.tanh, "sin": np.sin, "cos": np.cos, "atan": np.arctan, "floor": np.floor, "ceil": np.ceil,
-    "fmod": np.fmod, "only": lambda c, a: np.where(c, a, 0.0), "same": lambda a: a, "lt": np.less, "le": np.less_equal, "eq": np.equal,
-    "ne": np.not_equal, "not": np.logical_not, "and": np.logical_and, "or": np.logical_or, "true": lambda a: a != 0,
-    "choose": np.where, "clip": lambda x, a, b: np.clip(x, a, b),
-}  # fmt: skip
 #: On which side of a kink an operation is.
 SIDES = {
     "min": lambda a, b: a < b, "max": lambda a, b: a > b, "fabs": lambda a: a < 0, "clip": lambda x, a, b: (x < a) + 2 * (x > b),
-    "sign": np.sign, "floor": np.floor, "ceil": np.ceil, **{what: NUMPY[what] for what in ("lt", "le", "eq", "ne", "true")},
+    "sign": np.sign, "floor": np.floor, "ceil": np.ceil, "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal,
+    "true": lambda a: a != 0,
 }  # fmt: skip
 
 
 def sides(car, cycle):
     """Return of all operations with a kink on which side they are, in each step of a run."""
     compiled, samples = stepper_of(car), cycle.sampled(1.0)
-    p = parameters_of(car, compiled.step, samples.v_start)
-    x, states = compiled.first(p), []
-    requests = np.column_stack([samples.v, samples.grade, samples.key_on, samples.dt, np.zeros(len(samples.t))])
-    for request in requests:
-        states.append(x)
-        x, _ = compiled(x, request, p)
-    found = step_graph(compiled.step)
-    values = {f"x[{i}]": column for i, column in enumerate(np.array(states).T)}
-    values |= {f"u[{i}]": column for i, column in enumerate(requests.T)} | {f"p[{i}]": value for i, value in enumerate(p)}
-
-    def of(name):
-        return values[name] if name in values else float(name[1:-1]) if "N" in name or "V" in name else float.fromhex(name[1:-1])
-
-    taken = {}
-    with np.errstate(all="ignore"):
-        for op in (*found.prepared, *found.stepped):
-            given = [of(name) for name in op.of]
-            if op.what == "find":
-                points = found.graph.axes[op.about]
-                values[op.name] = taken[op.name] = np.clip(np.searchsorted(points, given[0], side="right") - 1, 0, len(points) - 2)
-            elif op.what == "place":
-                points = found.graph.axes[op.about]
-                values[op.name] = (given[0] - points[given[1]]) / np.diff(points)[given[1]]
-            elif op.what == "table":
-                values[op.name] = interpolated(found.graph.tables[op.about], given[::2], given[1::2])
-            else:
-                values[op.name] = NUMPY[op.what](*given)
-            if op.what in SIDES:
-                taken[f"{op.what} {op.name}"] = np.broadcast_to(SIDES[op.what](*given), len(samples.t))
+    found, p = step_graph(compiled.step), parameters_of(car, compiled.step, samples.v_start)
+    record = record_of(compiled, found, samples, p)
     # The values are the run's own.
-    shown = [of(name) for name in found.outputs]
     history = compiled.march(samples, p).history
-    assert all(np.allclose(np.broadcast_to(x, len(samples.t)), history[:, i], rtol=1e-9, atol=1e-9) for i, x in enumerate(shown))
-    return taken
+    assert all(np.allclose(record.of(name), history[:, i], rtol=1e-9, atol=1e-9) for i, name in enumerate(found.outputs))
+    taken = {op.name: record.of(op.name) for op in found.stepped if op.what == "find"}
+    kinks = [op for op in (*found.prepared, *found.stepped) if op.what in SIDES]
+    return taken | {f"{op.what} {op.name}": SIDES[op.what](*(record.of(name) for name in op.of)) for op in kinks}
 
 
 def of(result, what):
     """Return what of an output a run has."""
     return {"integral": result.energies, "last": result.last, "max": result.highest}[what[1]][what[0]]
-
-
-def interpolated(table, intervals, places):
-    y = table.values.reshape([len(table.points[i]) for i in table.live])
-    total = 0.0
-    for corner in np.ndindex(*(2,) * len(intervals)):
-        weight = np.prod([t if bit else 1 - t for bit, t in zip(corner, places, strict=True)], axis=0)
-        total = total + weight * y[tuple(np.asarray(i + bit) for bit, i in zip(corner, intervals, strict=True))]
-    return total
 
 
 def crossed(car, name, apart, cycle):

@@ -82,6 +82,8 @@ VEHICLES = {
     "small-car-plug-in-parallel": (parallel, {"as it is": {}, "nearly empty": {"battery.soc_start": 0.32}}),
     "small-car-mild-hybrid": (mild, MILD),
 }
+#: On its climb at the limit the grade hangs on the distance, so that rounding grows: 2e-9 over the length of a step.
+FED_BACK = ("small-car-mild-hybrid", "short of charge", "limits, short steps")
 CASES = [(name, car) for name, (_, cars) in VEHICLES.items() for car in cars]
 
 
@@ -99,6 +101,7 @@ def test_the_step_is_the_car_by_hand(name, car, cycle):
     units = {d.name: d.unit for d in result.outputs}
     for column, values in by_hand.items():
         # What is nothing but rounding is measured by one unit.  Operations in another order are fed back through the achieved speed,
-        # whose error a force takes over the step's length; it grows on a climb at the limit, whose grade the distance decides.
+        # whose error a force takes over the step's length.
         scale = max(np.abs(result[column]).max(), 1.0 if units[column] in ("W", "N", "N.m", "m/s") else 1e-12)
-        np.testing.assert_allclose(values / scale, result[column] / scale, rtol=0, atol=1e-8 / dt, err_msg=column)
+        apart = 1e-8 if (name, car, cycle) == FED_BACK else 1e-9
+        np.testing.assert_allclose(values / scale, result[column] / scale, rtol=0, atol=apart / dt, err_msg=column)
