@@ -164,6 +164,10 @@ def sobol_indices(found: xr.Dataset, name: str) -> list[Index]:
     if lost := int((~np.isfinite(y)).sum()):
         raise InputError("indices", [f"{name}: {lost} of {len(y)} points have no value, but the indices need all of them"])
     axes, n = axes_of(found), int(sample["n"])
+    if len(axes) == 1:
+        # All variance is that of the one number; SciPy's estimate needs two.
+        all_of_it = float(np.ptp(y) > 0)
+        return [Index(axes[0], all_of_it, (all_of_it, all_of_it), all_of_it, (all_of_it, all_of_it))]
     a, b, *mixed = y.reshape(-1, n)
 
     def of(chosen: Any) -> Array:

@@ -194,6 +194,16 @@ def test_a_square_and_a_product_are_those_of_a_hand_calculation(formula):
     assert by_name["body.m"].sobol.total == by_name["body.m"].first_order == pytest.approx(0, abs=1e-9)
 
 
+def test_a_number_alone_has_all_of_the_variance():
+    found = uncertainty(CAR, {"body.c_d": "normal(0.3, 0.01)"}, Formula(), figures=["linear", "square"], workers=1)
+    (share,) = found.figures["linear"].shares
+    assert share.sobol == ("body.c_d", 1.0, (1.0, 1.0), 1.0, (1.0, 1.0))
+    assert share.first_order == pytest.approx(1)
+    assert found.figures["linear"].sampled.sd == pytest.approx(1, rel=0.02)
+    # What it does not move has none.
+    assert found.figures["square"].shares[0].sobol is None
+
+
 def test_correlated_numbers_vary_together():
     rho = {("body.m", "body.A"): 0.8}
     found = uncertainty(CAR, VARY, Formula(), correlation=rho, sample="sobol:1024", figures="linear", workers=1)
