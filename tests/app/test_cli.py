@@ -284,20 +284,59 @@ def heed_interrupts():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def interrupted(code, after, *arguments):
+    """Interrupt a program so long after it says that it is on; return its exit code and standard error."""
+    command = [sys.executable, "-c", code, *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_interrupts) as run:
+        try:
+            assert run.stdout.readline() == "on\n"
+            time.sleep(after)
+            run.send_signal(signal.SIGINT)
+            _, stderr = run.communicate(timeout=60)
+        finally:
+            run.kill()
+    return run.returncode, stderr
+
+
 @SHELL
-def test_an_interrupt_is_one_line_at_any_time():
+@pytest.mark.parametrize("after", [0.02, 0.3, 1.0, 2.0])
+def test_an_interrupt_is_one_line_at_any_time(after):
     # At the start of Python itself a program cannot do better than Python.
-    code = "from halfshaft.__main__ import main; print('on', flush=True); main()"
-    command = [sys.executable, "-c", code, "reproduce"]
-    for after in (0.02, 0.3, 1.0, 2.0):
-        run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_interrupts)
-        assert run.stdout.readline() == "on\n"
-        time.sleep(after)
-        run.send_signal(signal.SIGINT)
-        _, stderr = run.communicate(timeout=60)
-        assert stderr == "interrupted\n", after
-        # A shell shows both as 130; Python ends by the signal where it caught it inside an exec() of a string.
-        assert run.returncode in (130, -signal.SIGINT), after
+    code, stderr = interrupted("from halfshaft.__main__ import main; print('on', flush=True); main()", after, "reproduce")
+    assert stderr == "interrupted\n"
+    # A shell shows both as 130; Python ends by the signal where it caught it inside an exec() of a string.
+    assert code in (130, -signal.SIGINT)
+
+
+@SHELL
+def test_an_interrupt_within_casadi_is_not_lost():
+    # CasADi looks whether an operand is a sparse matrix of SciPy, and drops what is raised there.
+    program = """
+import time
+import casadi
+from halfshaft.__main__ import main
+from halfshaft.app import cli
+
+class Operand:
+    @property
+    def tocsc(self):
+        print("on", flush=True)
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            pass
+        raise AttributeError
+
+def multiply():
+    try:
+        casadi.SX(2) * Operand()
+    except TypeError:
+        pass
+    time.sleep(30)
+
+cli.app = multiply
+main()
+"""
+    assert interrupted(program, 0.1) == (130, "interrupted\n")
 
 
 def test_a_name_that_is_too_long_is_said_before_the_run(tmp_path, monkeypatch):
