@@ -135,20 +135,25 @@ def resized(optimum: Optimum, limit: int, target: float, *, whole: bool = False)
 
 
 class Price(NamedTuple):
-    """What a limit costs: by its multiplier, and by the vehicles that are best with its target a little tighter and a little looser."""
+    """What a limit costs: by its multiplier, and by the vehicles that are best with its target a little tighter and a little looser.
+
+    Those two have multipliers of their own: where the three differ the price changes on the way.
+    """
 
     title: str
     unit: str
     multiplier: float
     tighter: float
     looser: float
+    multiplier_tighter: float
+    multiplier_looser: float
 
 
 def measured_prices(optimum: Optimum, share: float = 0.01) -> list[Price]:
     """Return what each limit that binds costs, in the goal's unit per unit of the user, by sizing again with another target.
 
     A multiplier is the slope where the optimum is.  Where another limit soon binds too, or a gear changes, a change that can be seen has
-    another price, and not the same in both directions.
+    another price, and not the same in both directions: the integral of the multipliers on the way, and the jumps that no slope sees.
 
     Parameters
     ----------
@@ -163,9 +168,9 @@ def measured_prices(optimum: Optimum, share: float = 0.01) -> list[Price]:
         if f.price > 0:
             step = share * f.limit.scale
             both = [resized(optimum, i, f.limit.target + x, whole=True) for x in (-f.limit.sign * step, f.limit.sign * step)]
-            rises = [o.goal - optimum.goal if o.holds else math.nan for o in both]
-            factor = f.limit.factor
-            found.append(Price(f.limit.title, f.limit.unit, f.price * factor, rises[0] / step * factor, -rises[1] / step * factor))
+            rises = [sign * (o.goal - optimum.goal) / step if o.holds else math.nan for o, sign in zip(both, (1, -1), strict=True)]
+            there = [o.limits[i].price if o.holds else math.nan for o in both]
+            found.append(Price(f.limit.title, f.limit.unit, *(f.limit.factor * x for x in (f.price, *rises, *there))))
     return found
 
 

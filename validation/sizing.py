@@ -8,11 +8,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
+import numpy as np
+
+from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.autosize import Autosize
-from halfshaft.studies.size import EVALUATIONS, Price, measured_prices, size
+from halfshaft.studies.size import EVALUATIONS, Price, measured_prices, resized, size
 from halfshaft.studies.sizing.evaluator import Bench, Tried
 from halfshaft.studies.sizing.optimum import Optimum
 from halfshaft.studies.sizing.problem import Problem
@@ -98,20 +102,69 @@ SMOOTH = (
 @cache
 def smooth_price(vehicle: str, vary: tuple[tuple[str, str], ...], goal: str, limit: str) -> Price:
     """Return what the only limit of a car costs whose mass is not rounded, over 1 %."""
-    car = Vehicle.load(vehicle)
-    unrounded = replace(car, rules={target: rule.unrounded for target, rule in car.rules.items()})
     tasks = {"city": Drive(Cycle.load("udds"))}
-    found = size(Problem(vehicle=unrounded, vary=dict(vary), minimise=goal, limits=(limit,), tasks=tasks), starts=1)
+    car = unrounded(Vehicle.load(vehicle))
+    found = size(Problem(vehicle=car, vary=dict(vary), minimise=goal, limits=(limit,), tasks=tasks), starts=1)
     return measured_prices(found, 0.01)[0]
+
+
+def unrounded(car: Vehicle) -> Vehicle:
+    """Return a car whose mass is not rounded."""
+    return replace(car, rules={target: rule.unrounded for target, rule in car.rules.items()})
+
+
+#: In so many steps a target is moved by 1 %.
+STEPS = 8
+
+
+class Way(NamedTuple):
+    """Goals and multipliers of the vehicles that are best while the target of a limit moves by 1 %, whole numbers as they are.
+
+    Both over the share of the target, so that the slope of the goal is the multiplier.
+    """
+
+    title: str
+    shares: Array
+    goals: Array
+    multipliers: Array
+
+    @property
+    def rises(self) -> Array:
+        """What the goal rises by in each step."""
+        return np.diff(self.goals)
+
+    @property
+    def paid(self) -> Array:
+        """The integral of the multipliers over each step."""
+        found: Array = np.diff(self.shares) * (self.multipliers[1:] + self.multipliers[:-1]) / 2
+        return found
+
+
+@cache
+def ways(name: str) -> list[Way]:
+    """Return the ways of the limits that bind a car of the library whose mass is not rounded: tighter and looser."""
+    problem = read_problem(name)
+    first, found = size(replace(problem, vehicle=unrounded(problem.vehicle))), list[Way]()
+    for i, f in enumerate(first.limits):
+        for side in (1, -1) if f.price > 0 else ():
+            shares, on = side * 0.01 * np.arange(STEPS + 1) / STEPS, [first]
+            for share in shares[1:]:
+                on.append(resized(on[-1], i, f.limit.target - share * f.limit.sign * f.limit.scale, whole=True))
+            goals = np.array([o.goal if o.holds else np.nan for o in on])
+            multipliers = np.array([o.limits[i].price * f.limit.scale for o in on])
+            found.append(Way(f"{f.limit.title}, {'tighter' if side > 0 else 'looser'}", shares, goals, multipliers))
+    return found
 
 
 def price_table() -> str:
     """Return the prices as Markdown."""
-    rows = ["| car | limit | unit | multiplier | 1 % tighter | 1 % looser |", "|---" * 6 + "|"]
+    head = ("car", "limit", "unit", "1 % tighter", "1 % looser", "multiplier", "where tighter", "where looser")
+    rows = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     each = [(name, case(name).ipopt.bound.goal_unit, price) for name in CARS for price in prices(name, 1e-2)]
     each += [(x[0], {"fuel": "L/100 km", "energy": "Wh/km"}[x[2]], smooth_price(*x)) for x in SMOOTH]
     for name, unit, price in each:
-        shown = " | ".join("-" if math.isnan(x) else f"{x:.3g}" for x in (price.multiplier, price.tighter, price.looser))
+        each_price = (price.tighter, price.looser, price.multiplier, price.multiplier_tighter, price.multiplier_looser)
+        shown = " | ".join("-" if math.isnan(x) else f"{x:.3g}" for x in each_price)
         rows.append(f"| `{name}` | {price.title} | {unit} per {price.unit} | {shown} |")
     return "\n".join(rows)
 

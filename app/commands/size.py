@@ -140,10 +140,11 @@ def _print(optimum: Optimum) -> None:
 def _print_prices(prices: list[Price], unit: str) -> None:
     """Print what limits cost, by multiplier and as measured."""
     table = new_table()
-    for i, heading in enumerate((f"price [{unit or 'goal'}]", "per", "multiplier", "1 % tighter", "1 % looser")):
+    each = ("multiplier", "1 % tighter", "1 % looser", "multiplier there (tighter)", "(looser)")
+    for i, heading in enumerate((f"price [{unit or 'goal'}]", "per", *each)):
         table.add_column(escape(heading), justify="right" if i > 1 else "left")
-    for price in prices:
-        table.add_row(escape(price.title), escape(price.unit), *(f"{x:.3g}" for x in (price.multiplier, price.tighter, price.looser)))
+    for title, per, *costs in prices:
+        table.add_row(escape(title), escape(per), *(f"{x:.3g}" for x in costs))
     console().print(table)
 
 

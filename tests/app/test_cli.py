@@ -331,9 +331,28 @@ def multiply():
         casadi.SX(2) * Operand()
     except TypeError:
         pass
-    time.sleep(30)
+    time.sleep(100)
 
 cli.app = multiply
+main()
+"""
+    assert interrupted(program, 0.1) == (130, "interrupted\n")
+
+
+@SHELL
+def test_an_interrupt_while_a_class_is_made_is_one_line():
+    # Python 3.11 makes a RuntimeError of it.
+    program = """
+import time
+from halfshaft.__main__ import main
+from halfshaft.app import cli
+
+class Named:
+    def __set_name__(self, owner, name):
+        print("on", flush=True)
+        time.sleep(100)
+
+cli.app = lambda: type("Owner", (), {"named": Named()})
 main()
 """
     assert interrupted(program, 0.1) == (130, "interrupted\n")

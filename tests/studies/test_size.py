@@ -113,6 +113,10 @@ def test_a_relaxed_problem_ends_where_theory_has_it():
     assert found.goal == pytest.approx(2 * math.sqrt(16), rel=1e-4)
     # d (2 sqrt(2 c)) / d c.
     assert found.limits[0].price == pytest.approx(math.sqrt(2 / 8), rel=2e-2)
+    (price,) = measured_prices(found, 0.2)
+    rises = [2 * (math.sqrt(2 * c) - 4) / (c - 8) for c in (9.6, 6.4)]
+    there = [math.sqrt(2 / c) for c in (9.6, 6.4)]
+    assert price[2:] == pytest.approx((math.sqrt(2 / 8), *rises, *there), rel=2e-2)
 
 
 def test_sensitivities_follow_the_envelope():
