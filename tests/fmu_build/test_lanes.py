@@ -168,30 +168,29 @@ def _pow(x, y):
 
 
 @pytest.mark.parametrize("width", lanes.widths())
-@pytest.mark.parametrize("n", [2, 3, 8, 9, 12, 17, 20, 33, 34, 58, 97])
-def test_intervals_are_those_of_the_scalar_search(width, n):
-    rng = np.random.default_rng(n)
-    points = np.cumsum(rng.uniform(0.01, 1, n) ** 3) - 3.0
-    code = f"""#include <math.h>
-{axis_source("axis_0", points)}
-#include "lanes.h"
-{lanes.axis_source("axis_0", points)}
-__attribute__((visibility("default"))) void both(long n, const double *x, double *wide, double *narrow) {{
-  for (long k = 0; k < n; ++k) narrow[k] = axis_0_find(x[k]);
+def test_intervals_are_those_of_the_scalar_search(width):
+    axes = {n: np.cumsum(np.random.default_rng(n).uniform(0.01, 1, n) ** 3) - 3.0 for n in (2, 3, 8, 9, 12, 17, 20, 33, 34, 58, 97)}
+    # One library for all of them: reading lanes.h takes most of the compiler's time.
+    code = "#include <math.h>\n" + "".join(axis_source(f"axis_{n}", x) for n, x in axes.items()) + '\n#include "lanes.h"\n'
+    for n, points in axes.items():
+        code += f"""{lanes.axis_source(f"axis_{n}", points)}
+__attribute__((visibility("default"))) void both_{n}(long n, const double *x, double *wide, double *narrow) {{
+  for (long k = 0; k < n; ++k) narrow[k] = axis_{n}_find(x[k]);
   for (long k = 0; k < n; k += W) {{
     long long at[W] __attribute__((aligned(64)));
-    v_keep(at, {lanes.find("axis_0", points, "v_load(x + k)")});
+    v_keep(at, {lanes.find(f"axis_{n}", points, "v_load(x + k)")});
     for (int l = 0; l < W; ++l) wide[k + l] = at[l];
   }}
 }}
 """
     library = ctypes.CDLL(str(shared_library(code, "probe", lanes.lanes_header(), ("-O1", *lanes.WIDTHS[width][0]))))
-    x = numbers(40_000)
-    x[:20_000] = rng.uniform(points[0] - 0.5, points[-1] + 0.5, 20_000)
-    x[20_000 : 20_000 + 3 * n] = np.concatenate([points, np.nextafter(points, 9), np.nextafter(points, -9)])
-    wide, narrow = np.empty(len(x)), np.empty(len(x))
-    library.both(ctypes.c_long(len(x)), *(ctypes.c_void_p(y.ctypes.data) for y in (x, wide, narrow)))
-    assert np.array_equal(wide, narrow)
+    for n, points in axes.items():
+        x = numbers(40_000)
+        x[:20_000] = np.random.default_rng(n).uniform(points[0] - 0.5, points[-1] + 0.5, 20_000)
+        x[20_000 : 20_000 + 3 * n] = np.concatenate([points, np.nextafter(points, 9), np.nextafter(points, -9)])
+        wide, narrow = np.empty(len(x)), np.empty(len(x))
+        library[f"both_{n}"](ctypes.c_long(len(x)), *(ctypes.c_void_p(y.ctypes.data) for y in (x, wide, narrow)))
+        assert np.array_equal(wide, narrow), n
 
 
 def test_a_compiler_without_the_instructions_gives_the_scalar_march(monkeypatch):

@@ -7,6 +7,7 @@ import copy
 import math
 
 import numpy as np
+from scipy.optimize import brentq
 
 from .automatic import AutomaticShift, Cvt, Locus, TorqueConverter
 from .chassis import Road
@@ -134,7 +135,7 @@ def cvt(parameters, samples):
 
 
 def beyond(drive, T, w, alpha, U, road, dt):
-    """Return how much of a torque at an axle is more than its motor's envelope can drive or brake, found by halving."""
+    """Return how much of a torque at an axle is more than its motor's envelope can drive or brake."""
     final, gearbox, shift, motor = (copy.copy(part) for part in drive)
 
     def rotor(T):
@@ -148,16 +149,12 @@ def beyond(drive, T, w, alpha, U, road, dt):
     T_rotor, limit = rotor(T)
     if T_rotor == limit or T * T_rotor <= 0:
         return 0.0
-    inside, outside, way = 0.0, T, math.copysign(1.0, T)
-    if way * rotor(inside)[0] >= way * limit:
+    way = math.copysign(1.0, T)
+    if way * rotor(0.0)[0] >= way * limit:
         return T  # At most all of it.
-    for _ in range(60):
-        half = (inside + outside) / 2
-        if way * rotor(half)[0] >= way * limit:
-            outside = half
-        else:
-            inside = half
-    return T - inside
+    if way * T_rotor < way * limit:
+        return 0.0
+    return T - brentq(lambda x: rotor(x)[0] - limit, 0.0, T, xtol=1e-300, rtol=1e-15)
 
 
 def two_motor(parameters, samples):
