@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from types import FrameType
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,12 +31,16 @@ from halfshaft.models.model import Model
 
 #: Energies are integrated in kJ: the absolute tolerance, 1e-4 J, is then far below what an interval turns over.
 ENERGY = 1e3
+#: First step of an interval, over the interval: of its own accord IDAS begins with a tenth of that, and takes half as many steps more.
+FIRST_STEP = 0.01
 #: Shortest interval that is cut in two where the integrator stops at a kink of a table [s].
 SHORTEST = 1e-6
 #: No command asks for an acceleration [m/s^2] or divides a torque [N.m] beyond this.
 Z_MOST = 1e6
 #: Steps of Newton's method for the unknowns, the shortest share of a step, and when they are found: change and balance, relative.
 NEWTON_STEPS, SHORTEST_SHARE, Z_EXACT, BALANCED = 50, 1e-3, 1e-11, 1e-6
+#: CasADi's integrators crash where two threads run them.
+ONE_AT_A_TIME = threading.Lock()
 #: How far from where they were the unknowns are looked for where they jump, and what counts as a jump, relative.
 KICKS, JUMP = (0.3, -0.3, 3.0, -3.0), 1e-4
 
@@ -69,7 +74,7 @@ class ForwardRun:
 class Forward:
     """The forward-facing model of a vehicle, ready to run."""
 
-    def __init__(self, model: Model, title: str = "", reltol: float = 1e-7, driver: Driver = Driver()) -> None:
+    def __init__(self, model: Model, title: str = "", reltol: float = 3e-8, driver: Driver = Driver()) -> None:
         self.stepper: Stepper = stepper(model, title)
         self.driver = driver
         self._interrupts = Interrupts()
@@ -83,9 +88,10 @@ class Forward:
         #: Places of speed, distance and elevation in the state.
         self._motion = [places.index(the(tag)) for tag in ("speed", "distance", "elevation")]
         x, z, p, alg = (self.plant.dae[name] for name in ("x", "z", "p", "alg"))
-        self._rates = ca.Function("rates", [x, z, p], [self.plant.dae["ode"]])
-        self._powers = ca.Function("powers", [x, z, p], [self.plant.dae["quad"]])
-        self._balance = ca.Function("balance", [z, x, p], [alg, ca.jacobian(alg, z)])
+        self._rates = Direct(ca.Function("rates", [x, z, p], [self.plant.dae["ode"]]))
+        self._powers = Direct(ca.Function("powers", [x, z, p], [self.plant.dae["quad"]]))
+        self._balance = Direct(ca.Function("balance", [z, x, p], [alg, ca.jacobian(alg, z)]))
+        self._outputs = Direct(self.plant.outputs)
         # IDAS starts from rates of zero.  Seen from a frame that moves with the rates of the start they are zero, so that it
         # can begin at the solution and need not search for it.
         t, span, rates = ca.SX.sym("t"), ca.SX.sym("span"), ca.SX.sym("rates", x.numel())
@@ -99,6 +105,7 @@ class Forward:
             "suppress_algebraic": True,
             "quad_err_con": True,
             "max_num_steps": 100000,
+            "step0": FIRST_STEP,
         }
         self._advance = ca.integrator("advance", "idas", moving, 0, 1, options)
 
@@ -111,7 +118,7 @@ class Forward:
             If the integrator cannot go on; the message tells where.
 
         """
-        with self._interrupts.listened_to():
+        with ONE_AT_A_TIME, self._interrupts.listened_to():
             return self._run(samples, parameters)
 
     def _run(self, samples: Samples, parameters: Array) -> ForwardRun:
@@ -155,7 +162,7 @@ class Forward:
             p = np.concatenate([held, [grade, samples.key_on[k]], parameters])
             x, z, gained = self._interval(x, z, p, samples.t[k] - dt, dt)
             quads += gained
-            rows[k] = np.array(self.plant.outputs(x, z, p)).ravel()
+            (rows[k],) = self._outputs(x, z, p)
             v_before = samples.v[k]
         energies = {d.name: float(q) for d, q in zip(plant.powers, quads, strict=True)}
         # The states know these better than the integrals of their rates do.
@@ -166,7 +173,7 @@ class Forward:
     def _interval(self, x: Array, z: Array, p: Array, t: float, span: float) -> tuple[Array, Array, Array]:
         """Integrate over a time with held commands."""
         z = self._balanced(x, z, p, t)
-        rates = np.array(self._rates(x, z, p)).ravel()
+        (rates,) = self._rates(x, z, p)
         try:
             # What IDAS says on the terminal is of no use to anybody.
             with redirect_stderr(io.StringIO()):
@@ -174,7 +181,7 @@ class Forward:
         except RuntimeError as error:
             self._interrupts.pass_on()
             if span < SHORTEST:
-                end, gained = x + rates * span, np.array(self._powers(x, z, p)).ravel() * span
+                end, gained = x + rates * span, self._powers(x, z, p)[0] * span
                 over = self._balanced(end, z, p, t)
                 if np.abs(over - z).max() > JUMP * max(1.0, np.abs(z).max()):
                     # Balances that fold back: the unknowns jump from one of their edges to the other, and the motion goes on.
@@ -203,7 +210,8 @@ class Forward:
 
         def off(z: Array) -> tuple[Array, Array]:
             balance, slope = self._balance(z, x, p)
-            return np.array(balance).ravel() - rest, np.array(slope)
+            # CasADi has its matrices by columns.
+            return balance - rest, slope.reshape(len(z), len(z), order="F")
 
         error, slope = off(z)
         for _ in range(NEWTON_STEPS):
@@ -224,7 +232,7 @@ class Forward:
 
     def _led(self, x: Array, z: Array, p: Array) -> Array | None:
         """Return the unknowns that balance the commands, led there from `z` by balances that fade from what they are at `z`."""
-        first = np.array(self._balance(z, x, p)[0]).ravel()
+        first = self._balance(z, x, p)[0]
         faded, stride = 0.0, 0.25
         while faded < 1:
             further = min(1.0, faded + stride)
@@ -237,6 +245,30 @@ class Forward:
 
     def _error(self, x: Array, t: float, message: str) -> SolveError:
         return SolveError(f"{self.plant.name}: the integrator stopped at t = {t:g} s, v = {x[self._motion[0]]:g} m/s: {message}")
+
+
+class Direct:
+    """A function of CasADi, called by arrays: making its matrices of them takes a hundred times as long as evaluating it."""
+
+    def __init__(self, function: ca.Function) -> None:
+        symbols = function.sx_in()
+        self.function = f = ca.Function(function.name(), symbols, [ca.densify(x) for x in function.call(symbols)])
+        self.arguments = [np.zeros(f.numel_in(i)) for i in range(f.n_in())]
+        self.results = [np.zeros(f.numel_out(i)) for i in range(f.n_out())]
+        #: What evaluates lives in it.
+        self.buffer: Any
+        self.buffer, self.evaluate = f.buffer()
+        for i, x in enumerate(self.arguments):
+            self.buffer.set_arg(i, x.data)
+        for i, x in enumerate(self.results):
+            self.buffer.set_res(i, x.data)
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Return all results, flat."""
+        for own, x in zip(self.arguments, arguments, strict=True):
+            own[:] = x
+        self.evaluate()
+        return [x.copy() for x in self.results]
 
 
 class Interrupts:

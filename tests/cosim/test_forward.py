@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -200,3 +201,12 @@ def test_a_cycle_without_length_leaves_all_powers_at_zero():
     assert len(result.time) == 0
     assert {x for name, x in result.last.items() if ".P_" in name} == {0.0}
     assert result.last["battery.soc"] == result.first["battery.soc"] > 0.5
+
+
+def test_runs_in_two_threads_do_not_meet():
+    cycles = [hill(0, (0, 0), (20, 20)), hill(0.05, (0, 10), (20, 5))]
+    alone = [run(Vehicle.load("small-car-electric"), cycle, via="forward") for cycle in cycles]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(lambda cycle: run(Vehicle.load("small-car-electric"), cycle, via="forward"), cycles))
+    for one, other in zip(alone, together, strict=True):
+        assert np.array_equal(one["body.v"], other["body.v"])
