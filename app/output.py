@@ -35,6 +35,7 @@ from typer.core import TyperGroup
 
 from halfshaft.cosim.units import Units, shown
 from halfshaft.library.base.errors import HalfshaftError
+from halfshaft.library.files.writing import source_date
 
 if TYPE_CHECKING:
     from halfshaft.cosim.result import Result
@@ -100,6 +101,8 @@ class Commands(TyperGroup):
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = show
             try:
+                # NumPy stumbles over a bad one as soon as SciPy is there.
+                source_date()
                 return super().invoke(ctx)
             except typer.BadParameter as error:
                 error.message = _in_own_words(error.message)

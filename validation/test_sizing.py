@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from halfshaft.studies.size import size
-from halfshaft.validation.sizing import CARS, SMOOTH, case, smooth_price
+from halfshaft.validation.sizing import CARS, SMOOTH, case, smooth_price, ways
 
 PAGE = Path(__file__).parents[1] / "docs" / "sizing.md"
 
@@ -27,6 +28,16 @@ def test_a_multiplier_is_the_price_of_one_percent(x: tuple[str, tuple[tuple[str,
     # Of a curve, the slope in its middle is that of the chord.
     price = smooth_price(*x)
     assert (price.tighter + price.looser) / 2 == pytest.approx(price.multiplier, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["conventional", "electric"])
+def test_what_one_percent_costs_is_the_integral_of_the_multipliers(name: str) -> None:
+    for way in ways(name):
+        paid, risen = way.paid, way.rises
+        # A gear that changes a step earlier is a jump, which no slope sees; the conventional car has three on both ways.
+        smooth = np.abs(risen - paid) <= 0.2 * np.abs(paid)
+        assert np.sum(~smooth) <= (2 if name == "conventional" else 0), way
+        assert np.sum(risen[smooth]) == pytest.approx(np.sum(paid[smooth]), rel=0.02), way
 
 
 def test_continuation_in_the_width_ends_at_the_same_vehicle() -> None:
