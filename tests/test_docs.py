@@ -15,6 +15,7 @@ from halfshaft.app.cli import app
 from halfshaft.library.files.catalog import component_kinds
 
 ROOT = Path(__file__).parents[1]
+COMMANDS = typer.main.get_command(app).commands
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -78,7 +79,7 @@ def test_example_of_the_readme_runs(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("page", "line"), [pytest.param(p, line, id=f"{p.stem}: {line}") for p in PAGES for line in commands(p)])
 def test_command_exists_with_its_options(page, line):
     name, *arguments = shlex.split(line, comments=True)[1:]
-    known = typer.main.get_command(app).commands
+    known = COMMANDS
     assert name in known, f"{page.name} names a command that does not exist: {line}"
     options = {o for parameter in known[name].params for o in (*parameter.opts, *parameter.secondary_opts)} | {"-h", "--help"}
     used = {a.partition("=")[0] for a in arguments if re.match(r"--?[a-z]", a)}
@@ -88,7 +89,7 @@ def test_command_exists_with_its_options(page, line):
 def test_every_command_is_described():
     # The larger commands have a page of their own.
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    for name, command in typer.main.get_command(app).commands.items():
+    for name, command in COMMANDS.items():
         assert f"halfshaft {name}" in text
         for parameter in command.params:
             long = [o for o in parameter.opts if o.startswith("--")]

@@ -1,16 +1,22 @@
+"""The changes that `mutate` makes, and that it shows each to the tests that execute it."""
+
 import ast
 import json
 import random
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
 
 from halfshaft.validation import mutate
 from halfshaft.validation.mutate import ROOT, all_mutants, c_mutants, python_mutants, statement
 
 
-def changed(source, make):
+def changed(source: str, make: Callable[[str, str], Iterable[mutate.Mutant]]) -> set[str]:
     return {source[: m.start] + m.text + source[m.end :] for m in make("file", source)}
 
 
-def test_each_kind_of_change_is_made():
+def test_each_kind_of_change_is_made() -> None:
     source = "def f(x: int | None = 0):\n    if x < 2 and not x:\n        return -x + g(x)\n    send(x)\n"
     assert changed(source, python_mutants) == {
         source.replace("= 0", "= 1"),
@@ -26,7 +32,7 @@ def test_each_kind_of_change_is_made():
     }
 
 
-def test_c_is_changed_outside_of_comments_texts_and_directives():
+def test_c_is_changed_outside_of_comments_texts_and_directives() -> None:
     source = '#define N 3\n/* a < b */ if (a < b && p->x) s += "1 < 2"[0]; // c - d\n'
     assert changed(source, c_mutants) == {
         source.replace("(a < b", "(a >= b"),
@@ -36,7 +42,7 @@ def test_c_is_changed_outside_of_comments_texts_and_directives():
     }
 
 
-def test_changed_programs_are_programs():
+def test_changed_programs_are_programs() -> None:
     mutants = [m for m in all_mutants(ROOT) if m.path.endswith(".py")]
     assert len(mutants) > 1000
     for m in random.Random(0).sample(mutants, 90):
@@ -44,7 +50,7 @@ def test_changed_programs_are_programs():
         assert ast.dump(ast.parse(source[: m.start] + m.text + source[m.end :])) != ast.dump(ast.parse(source)), str(m)
 
 
-def test_a_statement_ends_where_its_body_begins():
+def test_a_statement_ends_where_its_body_begins() -> None:
     source = "x = (1,\n     2)\nif (x and\n    y):\n    z = 1\nelse:\n    z = 2\n"
     assert [statement(source, line) for line in (1, 2, 4, 5, 7)] == [range(1, 3), range(1, 3), range(3, 5), range(5, 6), range(7, 8)]
 
@@ -63,16 +69,18 @@ def contrary(x):
     return not x
 """
 TESTS = {
-    "tests/test_double.py": "from halfshaft.library.sums import double\n\ndef test_double():\n    assert double(3) == 6\n",
+    "tests/test_double.py": "from halfshaft.library.sums import double\n\ndef test_double() -> None:\n    assert double(3) == 6\n",
     "tests/test_opposite.py": """import subprocess, sys
 
-def test_opposite():
+def test_opposite() -> None:
     subprocess.run([sys.executable, "-c", "from halfshaft.library.sums import *; opposite(1); contrary(1)"], check=True)
 """,
 }
 
 
-def test_a_change_is_shown_to_the_tests_that_execute_it(tmp_path, monkeypatch, capfd):
+def test_a_change_is_shown_to_the_tests_that_execute_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     root = tmp_path / "root"
     for path, text in {"library/sums.py": PROGRAM, ".typing/halfshaft/__init__.py": "", "pyproject.toml": "", **TESTS}.items():
         (root / path).parent.mkdir(parents=True, exist_ok=True)
@@ -95,7 +103,7 @@ def test_a_change_is_shown_to_the_tests_that_execute_it(tmp_path, monkeypatch, c
     # What is known is not tried again, unless it is wished for.  Here a dear test looks at two, which are shown to it together first.
     (root / "tests/test_seen.py").write_text("""from halfshaft.library.sums import contrary, opposite
 
-def test_seen():
+def test_seen() -> None:
     assert contrary(0)
     assert opposite(1) == -1
 """)
