@@ -101,8 +101,9 @@ class Commands(TyperGroup):
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = show
             try:
-                # NumPy stumbles over a bad one as soon as SciPy is there.
-                source_date()
+                # NumPy stumbles over one that is no number, and be it empty, as soon as SciPy is loaded.
+                if source_date() is None:
+                    os.environ.pop("SOURCE_DATE_EPOCH", None)
                 return super().invoke(ctx)
             except typer.BadParameter as error:
                 error.message = _in_own_words(error.message)

@@ -39,7 +39,7 @@ SHORTEST = 1e-6
 Z_MOST = 1e6
 #: Steps of Newton's method for the unknowns, the shortest share of a step, and when they are found: change and balance, relative.
 NEWTON_STEPS, SHORTEST_SHARE, Z_EXACT, BALANCED = 50, 1e-3, 1e-11, 1e-6
-#: CasADi's integrators crash where two threads run them.
+#: An integrator and the arrays of `Direct` serve one thread, and what IDAS says is kept away from the whole process.
 ONE_AT_A_TIME = threading.Lock()
 #: How far from where they were the unknowns are looked for where they jump, and what counts as a jump, relative.
 KICKS, JUMP = (0.3, -0.3, 3.0, -3.0), 1e-4
@@ -248,11 +248,11 @@ class Forward:
 
 
 class Direct:
-    """A function of CasADi, called by arrays: making its matrices of them takes a hundred times as long as evaluating it."""
+    """A function of CasADi, called by arrays: making its matrices of them takes some thirty times as long as evaluating it."""
 
     def __init__(self, function: ca.Function) -> None:
         symbols = function.sx_in()
-        self.function = f = ca.Function(function.name(), symbols, [ca.densify(x) for x in function.call(symbols)])
+        f = ca.Function(function.name(), symbols, [ca.densify(x) for x in function.call(symbols)])
         self.arguments = [np.zeros(f.numel_in(i)) for i in range(f.n_in())]
         self.results = [np.zeros(f.numel_out(i)) for i in range(f.n_out())]
         #: What evaluates lives in it.
@@ -279,17 +279,17 @@ class Interrupts:
 
     @contextmanager
     def listened_to(self) -> Iterator[None]:
-        """Listen, where this is the thread that interrupts come to."""
+        """Listen, where this is the thread that interrupts come to and they are not ignored."""
         self.came = False
-        if threading.current_thread() is not threading.main_thread():
+        before = signal.getsignal(signal.SIGINT)
+        if before is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
             yield
             return
-        before = signal.getsignal(signal.SIGINT)
 
         def note(number: int, frame: FrameType | None) -> None:
             # Who is impatient is heard at once.
-            if self.came and callable(before):
-                before(number, frame)
+            if self.came:
+                signal.default_int_handler(number, frame)
             self.came = True
 
         signal.signal(signal.SIGINT, note)

@@ -168,6 +168,8 @@ def measured_prices(optimum: Optimum, share: float = 0.01) -> list[Price]:
         if f.price > 0:
             step = share * f.limit.scale
             both = [resized(optimum, i, f.limit.target + x, whole=True) for x in (-f.limit.sign * step, f.limit.sign * step)]
+            if any(o.status == "interrupted" for o in both):
+                break
             rises = [sign * (o.goal - optimum.goal) / step if o.holds else math.nan for o, sign in zip(both, (1, -1), strict=True)]
             there = [o.limits[i].price if o.holds else math.nan for o in both]
             found.append(Price(f.limit.title, f.limit.unit, *(f.limit.factor * x for x in (f.price, *rises, *there))))

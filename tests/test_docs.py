@@ -79,9 +79,8 @@ def test_example_of_the_readme_runs(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("page", "line"), [pytest.param(p, line, id=f"{p.stem}: {line}") for p in PAGES for line in commands(p)])
 def test_command_exists_with_its_options(page, line):
     name, *arguments = shlex.split(line, comments=True)[1:]
-    known = COMMANDS
-    assert name in known, f"{page.name} names a command that does not exist: {line}"
-    options = {o for parameter in known[name].params for o in (*parameter.opts, *parameter.secondary_opts)} | {"-h", "--help"}
+    assert name in COMMANDS, f"{page.name} names a command that does not exist: {line}"
+    options = {o for parameter in COMMANDS[name].params for o in (*parameter.opts, *parameter.secondary_opts)} | {"-h", "--help"}
     used = {a.partition("=")[0] for a in arguments if re.match(r"--?[a-z]", a)}
     assert used <= options, f"{page.name}: {line}"
 

@@ -1,10 +1,12 @@
 """Direct transcription against sizing by tangents of whole runs: the same car, and a hybrid with and without the control in use.
 
-python -m halfshaft.validation.transcription     # minutes; prints the tables of the manual
+python -m halfshaft.validation.transcription         # minutes; prints the tables of the manual
+python -m halfshaft.validation.transcription UDDS    # a quarter of an hour: the hybrid on all of its cycle
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from functools import cache
 from typing import NamedTuple
@@ -24,8 +26,10 @@ from halfshaft.studies.transcription import Transcribed, transcribe
 #: The only limit: a speed [m/s] from rest within a time [s].
 REACH = (60 * M_PER_MILE / 3600, 12.0)
 LIMIT = "0-60 mph <= 12 s"
-#: The first two hills of a cycle; it ends at rest.
-HILLS = Cycle.load("udds").between(0, 330)
+UDDS = Cycle.load("udds")
+#: The first two hills of a cycle, which end at rest, and all of it.
+TRIPS = {"UDDS to 330 s": UDDS.between(0, 330), "UDDS": UDDS}
+SHORT = "UDDS to 330 s"
 #: What is free of an electric car, and of a series hybrid.
 ELECTRIC = {"motor.torque_scale": (0.3, 3.0), "final_drive.i": (0.5, 2.0)}
 SERIES = {"motor.torque_scale": (0.3, 1.5), "engine.torque_scale": (0.5, 1.5)}
@@ -62,9 +66,9 @@ def electric(cycle: str = "nycc") -> Case:
 
 
 @cache
-def series() -> Case:
+def series(trip: str = SHORT) -> Case:
     """Return a series hybrid of least fuel: with the control in use, and with the split sought together with sizes."""
-    return compared("small-car-series", SERIES, "fuel", Linear(cycle=HILLS), HILLS)
+    return compared("small-car-series", SERIES, "fuel", Linear(cycle=TRIPS[trip]), TRIPS[trip])
 
 
 def energy(car: Vehicle, cycle: str = "nycc") -> float:
@@ -73,11 +77,11 @@ def energy(car: Vehicle, cycle: str = "nycc") -> float:
 
 
 @cache
-def ways() -> dict[str, Optimum]:
+def ways(trip: str = SHORT) -> dict[str, Optimum]:
     """Return the best known drive of the series hybrid as it is, as sized, and as transcribed: one judge for all three."""
-    found = series()
+    found = series(trip)
     cars = {"as it is": Vehicle.load("small-car-series"), "`size`": found.sized.vehicle, "`transcribe`": found.transcribed.vehicle}
-    return {name: optimal(car, HILLS) for name, car in cars.items()}
+    return {name: optimal(car, TRIPS[trip]) for name, car in cars.items()}
 
 
 def kept(optimum: Optimum, way: Way) -> float:
@@ -88,7 +92,7 @@ def kept(optimum: Optimum, way: Way) -> float:
 
 
 def table() -> str:
-    """Return both comparisons as Markdown."""
+    """Return the comparison of the electric car as Markdown."""
     e = electric()
     rows = ["| electric car, NYCC | " + " | ".join(ELECTRIC) + " | 0-60 mph [s] | Wh/km | time [s] |", "|---" * 6 + "|"]
     own, sized, found = Vehicle.load("small-car-electric"), e.sized.vehicle, e.transcribed.vehicle
@@ -98,14 +102,19 @@ def table() -> str:
     ):  # fmt: skip
         sizes = " | ".join(f"{car.values[x]:.4f}" for x in ELECTRIC)
         rows.append(f"| {name} | {sizes} | {reached:.3f} | {energy(car):.3f} | {seconds} |")
-    s = series()
-    rows += ["", "| series hybrid, UDDS to 330 s | " + " | ".join(SERIES) + " | 0-60 mph [s] | control in use | best split | time [s] |"]
+    return "\n".join(rows)
+
+
+def series_table(trip: str = SHORT) -> str:
+    """Return the comparison of the series hybrid as Markdown."""
+    s = series(trip)
+    rows = [f"| series hybrid, {trip} | " + " | ".join(SERIES) + " | 0-60 mph [s] | control in use | best split | time [s] |"]
     rows += ["|---" * 7 + "|"]
     assert s.transcribed.optimum is not None
     per_gram = 1e-3 * s.transcribed.optimum.best.fuel / s.transcribed.before
     to_speed = (s.sized.limits[0].before, s.sized.limits[0].after, s.transcribed.reached[0])
     times = ["", *(f"{x:.0f}" for x in s.seconds)]
-    for (name, optimum), t, seconds in zip(ways().items(), to_speed, times, strict=True):
+    for (name, optimum), t, seconds in zip(ways(trip).items(), to_speed, times, strict=True):
         sizes = " | ".join(f"{optimum.vehicle.values[x]:.4f}" for x in SERIES)
         in_use, best = (kept(optimum, way) / per_gram for way in (optimum.in_use, optimum.best))
         rows.append(f"| {name} | {sizes} | {t:.3f} | {in_use:.2f} g | {best:.2f} g | {seconds} |")
@@ -116,4 +125,5 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    print(table())  # noqa: T201
+    trips = sys.argv[1:]
+    print("\n\n".join([series_table(trip) for trip in trips] or [table(), series_table()]))  # noqa: T201

@@ -140,11 +140,12 @@ def _print(optimum: Optimum) -> None:
 def _print_prices(prices: list[Price], unit: str) -> None:
     """Print what limits cost, by multiplier and as measured."""
     table = new_table()
-    each = ("multiplier", "1 % tighter", "1 % looser", "multiplier there (tighter)", "(looser)")
+    each = ("1 % tighter", "1 % looser", "multiplier", "where tighter", "where looser")
     for i, heading in enumerate((f"price [{unit or 'goal'}]", "per", *each)):
         table.add_column(escape(heading), justify="right" if i > 1 else "left")
-    for title, per, *costs in prices:
-        table.add_row(escape(title), escape(per), *(f"{x:.3g}" for x in costs))
+    for price in prices:
+        costs = (price.tighter, price.looser, price.multiplier, price.multiplier_tighter, price.multiplier_looser)
+        table.add_row(escape(price.title), escape(price.unit), *(f"{x:.3g}" for x in costs))
     console().print(table)
 
 

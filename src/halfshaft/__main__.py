@@ -6,49 +6,45 @@ import sys
 import threading
 from types import FrameType
 
-#: How soon an interrupt is tried again that could not be raised where it came [s].
-AGAIN = 0.005
+#: How soon an interrupt is tried again that could not be raised where it came [s], and how often.
+AGAIN, TRIES = 0.005, 40
 
 
 def main() -> None:
     """Run the command line."""
+    interrupt = Interrupt()
     try:
-        # A shell lets a job in the background ignore interrupts, and it stays so.
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, _interrupt)
+        # Where a shell lets a job in the background ignore interrupts, it stays so.
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, interrupt)
         from halfshaft.app.cli import app
 
         app()
     except BaseException as error:
-        if not _is_interrupt(error):
+        # CasADi makes a RuntimeError of an interrupt, and so does Python 3.11 while a class is being made.
+        if not (isinstance(error, KeyboardInterrupt) or (interrupt.raised and isinstance(error, Exception))):
             raise
         print("interrupted", file=sys.stderr)  # noqa: T201
         sys.exit(130)
 
 
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Return whether it is an interrupt, or what Python 3.11 makes of one that comes while a class is being made."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__
-    return error is not None
+class Interrupt:
+    """Raises an interrupt, and for a while not within CasADi: what is raised where it looks at an operand in Python, it drops."""
 
+    def __init__(self) -> None:
+        self.tried, self.raised = 0, False
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise an interrupt, but not before CasADi is left: what is raised where it looks at an operand in Python, it drops."""
-    if _within_casadi(frame):
-        again = threading.Timer(AGAIN, _interrupt_again)
-        again.daemon = True
-        again.start()
-    else:
-        signal.default_int_handler(number, frame)
-
-
-def _interrupt_again() -> None:
-    # A signal also wakes a program that waits.
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-    else:
-        _thread.interrupt_main()
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Raise it, now or a moment later."""
+        self.tried += 1
+        if self.tried <= TRIES and _within_casadi(frame):
+            again = threading.Timer(AGAIN, _interrupt)
+            again.daemon = True
+            again.start()
+        else:
+            # After so long it is a call that computes, which listens.
+            self.tried, self.raised = 0, True
+            signal.default_int_handler(number, frame)
 
 
 def _within_casadi(frame: FrameType | None) -> bool:
@@ -57,6 +53,15 @@ def _within_casadi(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+def _interrupt() -> None:
+    main = threading.main_thread().ident
+    # A signal also wakes a program that waits.
+    if main is not None and hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(main, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
 
 
 if __name__ == "__main__":

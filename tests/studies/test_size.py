@@ -1,6 +1,7 @@
 import json
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -105,6 +106,12 @@ def test_the_optimum_of_a_problem_in_closed_form_is_found_with_its_price():
     assert price.tighter == pytest.approx(price.multiplier, rel=0.05)
     assert price.looser == pytest.approx(price.multiplier, rel=0.05)
     assert resized(found, 0, 9.0).goal == pytest.approx(min(9 / b + 2 * b for b in range(1, 21)), rel=1e-5)
+
+
+def test_an_interrupt_ends_the_search_for_prices(monkeypatch):
+    found = size(plain())
+    monkeypatch.setattr("halfshaft.studies.size.resized", lambda *_, **__: replace(found, status="interrupted"))
+    assert measured_prices(found) == []
 
 
 def test_a_relaxed_problem_ends_where_theory_has_it():
@@ -248,6 +255,12 @@ def test_the_command_sizes_and_reports(tmp_path, monkeypatch):
     assert found["variables"]["drive"]["after"] == pytest.approx(70e3, rel=0.01)
     assert "Small &lt;car&gt;" in (tmp_path / "r.html").read_text()
     assert Vehicle.load("car.toml").mass == found["mass_kg"]["after"] == found["goal"]["after"]
+    checked = runner.invoke(app, ["size", "small.toml", "--starts", "1", "--check"], env={"COLUMNS": "120"})
+    (price,) = (line for line in checked.stdout.splitlines() if re.match(r"  drive +kW +\d", line))
+    tighter, looser, *multipliers = map(float, price.split()[2:])
+    # By 0.7 kW and less than a kilogram, which the mass is rounded to: the heavier car comes to the same, the lighter one to 1 kg less.
+    assert (tighter, looser) == pytest.approx((0, 1 / 0.7), rel=0.01)
+    assert multipliers == pytest.approx([0.664] * 3, rel=0.01)
     bad = runner.invoke(app, ["size", "small.toml", "--report", "r.pdf", "--pareto", "x"])
     assert bad.exit_code == 2
     assert "must end in .html" in bad.stderr
