@@ -1,5 +1,7 @@
 """The program ``halfshaft``: the command line, interruptible from its first import on."""
 
+from __future__ import annotations
+
 import _thread
 import signal
 import sys
@@ -17,6 +19,7 @@ def main() -> None:
         # Where a shell lets a job in the background ignore interrupts, it stays so.
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, interrupt)
+            sys.unraisablehook = interrupt.dropped
         from halfshaft.app.cli import app
 
         app()
@@ -29,22 +32,32 @@ def main() -> None:
 
 
 class Interrupt:
-    """Raises an interrupt, and for a while not within CasADi: what is raised where it looks at an operand in Python, it drops."""
+    """Raises an interrupt until it is heard.
+
+    Not within CasADi, for a while: what is raised where it looks at an operand in Python, it drops.  Python drops what is raised in a
+    finaliser or a callback, such as one at the end of each import, and says so.
+    """
 
     def __init__(self) -> None:
         self.tried, self.raised = 0, False
+        self.shown = sys.unraisablehook
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Raise it, now or a moment later."""
         self.tried += 1
         if self.tried <= TRIES and _within_casadi(frame):
-            again = threading.Timer(AGAIN, _interrupt)
-            again.daemon = True
-            again.start()
+            _interrupt_later()
         else:
             # After so long it is a call that computes, which listens.
             self.tried, self.raised = 0, True
             signal.default_int_handler(number, frame)
+
+    def dropped(self, what: sys.UnraisableHookArgs) -> None:
+        """Raise an interrupt again that was dropped; show anything else."""
+        if issubclass(what.exc_type, KeyboardInterrupt):
+            _interrupt_later()
+        else:
+            self.shown(what)
 
 
 def _within_casadi(frame: FrameType | None) -> bool:
@@ -53,6 +66,12 @@ def _within_casadi(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+def _interrupt_later() -> None:
+    again = threading.Timer(AGAIN, _interrupt)
+    again.daemon = True
+    again.start()
 
 
 def _interrupt() -> None:

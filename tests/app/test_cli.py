@@ -344,6 +344,23 @@ time.sleep(100)
 
 
 @SHELL
+def test_an_interrupt_in_a_finaliser_is_not_lost():
+    # Python has a callback of that kind at the end of each import.
+    ends = program("""
+class Ends:
+    def __del__(self):
+        print("on", flush=True)
+        end = time.monotonic() + 0.15
+        while time.monotonic() < end:
+            pass
+
+Ends()
+time.sleep(100)
+""")
+    assert interrupted(ends, 0.05) == (130, "interrupted\n")
+
+
+@SHELL
 def test_an_interrupt_while_casadi_computes_is_heard():
     computes = program("""
 t, x = casadi.SX.sym("t"), casadi.SX.sym("x")
