@@ -134,6 +134,10 @@ def resized(optimum: Optimum, limit: int, target: float, *, whole: bool = False)
     return _sized(bound, "ipopt", lambda bench, note: minimise(bench, [bench.scaled(values)], note))
 
 
+#: What the columns of prices are.
+COSTS = ("1 % tighter", "1 % looser", "multiplier", "where tighter", "where looser")
+
+
 class Price(NamedTuple):
     """What a limit costs: by its multiplier, and by the vehicles that are best with its target a little tighter and a little looser.
 
@@ -147,6 +151,11 @@ class Price(NamedTuple):
     looser: float
     multiplier_tighter: float
     multiplier_looser: float
+
+    @property
+    def costs(self) -> tuple[float, ...]:
+        """What it costs, by `COSTS`."""
+        return self.tighter, self.looser, self.multiplier, self.multiplier_tighter, self.multiplier_looser
 
 
 def measured_prices(optimum: Optimum, share: float = 0.01) -> list[Price]:

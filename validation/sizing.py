@@ -16,7 +16,7 @@ from halfshaft.cosim.compiled import Array
 from halfshaft.cosim.cycle import Cycle
 from halfshaft.models.vehicle import Vehicle
 from halfshaft.studies.autosize import Autosize
-from halfshaft.studies.size import EVALUATIONS, Price, measured_prices, resized, size
+from halfshaft.studies.size import COSTS, EVALUATIONS, Price, measured_prices, resized, size
 from halfshaft.studies.sizing.evaluator import Bench, Tried
 from halfshaft.studies.sizing.optimum import Optimum
 from halfshaft.studies.sizing.problem import Problem
@@ -91,9 +91,9 @@ def table(cases: list[Case]) -> str:
 
 
 @cache
-def prices(name: str, share: float) -> list[Price]:
-    """Return what limits cost, by multiplier and as measured."""
-    return measured_prices(sized(name), share)
+def prices(name: str) -> list[Price]:
+    """Return what limits cost, by multiplier and as measured over 1 %."""
+    return measured_prices(sized(name))
 
 
 #: Where goal and limit are smooth near the optimum: vehicle, what varies, what is least, and the limit.
@@ -111,7 +111,7 @@ def smooth_price(vehicle: str, vary: tuple[tuple[str, str], ...], goal: str, lim
     tasks = {"city": Drive(Cycle.load("udds"))}
     car = unrounded(Vehicle.load(vehicle))
     found = size(Problem(vehicle=car, vary=dict(vary), minimise=goal, limits=(limit,), tasks=tasks), starts=1)
-    return measured_prices(found, 0.01)[0]
+    return measured_prices(found)[0]
 
 
 def unrounded(car: Vehicle) -> Vehicle:
@@ -164,13 +164,12 @@ def ways(name: str) -> list[Way]:
 
 def price_table() -> str:
     """Return the prices as Markdown."""
-    head = ("car", "limit", "unit", "1 % tighter", "1 % looser", "multiplier", "where tighter", "where looser")
+    head = ("car", "limit", "unit", *COSTS)
     rows = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
-    each = [(name, sized(name).bound.goal_unit, price) for name in CARS for price in prices(name, 1e-2)]
+    each = [(name, sized(name).bound.goal_unit, price) for name in CARS for price in prices(name)]
     each += [(x[0], {"fuel": "L/100 km", "energy": "Wh/km"}[x[2]], smooth_price(*x)) for x in SMOOTH]
     for name, unit, price in each:
-        each_price = (price.tighter, price.looser, price.multiplier, price.multiplier_tighter, price.multiplier_looser)
-        shown = " | ".join("-" if math.isnan(x) else f"{x:.3g}" for x in each_price)
+        shown = " | ".join("-" if math.isnan(x) else f"{x:.3g}" for x in price.costs)
         rows.append(f"| `{name}` | {price.title} | {unit} per {price.unit} | {shown} |")
     return "\n".join(rows)
 

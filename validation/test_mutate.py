@@ -69,10 +69,10 @@ def contrary(x):
     return not x
 """
 TESTS = {
-    "tests/test_double.py": "from halfshaft.library.sums import double\n\ndef test_double() -> None:\n    assert double(3) == 6\n",
+    "tests/test_double.py": "from halfshaft.library.sums import double\n\ndef test_double():\n    assert double(3) == 6\n",
     "tests/test_opposite.py": """import subprocess, sys
 
-def test_opposite() -> None:
+def test_opposite():
     subprocess.run([sys.executable, "-c", "from halfshaft.library.sums import *; opposite(1); contrary(1)"], check=True)
 """,
 }
@@ -103,7 +103,7 @@ def test_a_change_is_shown_to_the_tests_that_execute_it(
     # What is known is not tried again, unless it is wished for.  Here a dear test looks at two, which are shown to it together first.
     (root / "tests/test_seen.py").write_text("""from halfshaft.library.sums import contrary, opposite
 
-def test_seen() -> None:
+def test_seen():
     assert contrary(0)
     assert opposite(1) == -1
 """)

@@ -139,13 +139,13 @@ def _print(optimum: Optimum) -> None:
 
 def _print_prices(prices: list[Price], unit: str) -> None:
     """Print what limits cost, by multiplier and as measured."""
+    from halfshaft.studies.size import COSTS
+
     table = new_table()
-    each = ("1 % tighter", "1 % looser", "multiplier", "where tighter", "where looser")
-    for i, heading in enumerate((f"price [{unit or 'goal'}]", "per", *each)):
+    for i, heading in enumerate((f"price [{unit or 'goal'}]", "per", *COSTS)):
         table.add_column(escape(heading), justify="right" if i > 1 else "left")
     for price in prices:
-        costs = (price.tighter, price.looser, price.multiplier, price.multiplier_tighter, price.multiplier_looser)
-        table.add_row(escape(price.title), escape(price.unit), *(f"{x:.3g}" for x in costs))
+        table.add_row(escape(price.title), escape(price.unit), *(f"{x:.3g}" for x in price.costs))
     console().print(table)
 
 

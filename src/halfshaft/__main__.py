@@ -25,7 +25,7 @@ def main() -> None:
         app()
     except BaseException as error:
         # CasADi makes a RuntimeError of an interrupt, and so does Python 3.11 while a class is being made.
-        if not (isinstance(error, KeyboardInterrupt) or (interrupt.raised and isinstance(error, Exception))):
+        if not (isinstance(error, KeyboardInterrupt) or (interrupt.raised and isinstance(error, RuntimeError))):
             raise
         print("interrupted", file=sys.stderr)  # noqa: T201
         sys.exit(130)
